@@ -1,0 +1,79 @@
+"""From a resolved configuration, a plain mapping, to the objects of the world."""
+
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from racerl.env.actions import create_action
+from racerl.env.observations import create_observation
+from racerl.env.race import Race, Start, Timing
+from racerl.env.randomize import Randomization
+from racerl.env.termination import OffTrack, Termination
+from racerl.errors import ConfigError
+from racerl.registry import construct
+from racerl.track.load import load_track
+from racerl.track.track import Track
+from racerl.vehicle.load import load_vehicle
+from racerl.vehicle.vehicle import Vehicle
+
+Settings = Mapping[str, Any]
+
+
+def conf_folder() -> Path:
+    """Return the folder of packaged configurations: inside a wheel, or beside the package in a checkout."""
+    package = Path(str(files("racerl")))
+    return package / "conf" if (package / "conf").is_dir() else package.parent / "conf"
+
+
+def build_vehicle(settings: Settings) -> Vehicle:
+    """Build the car of `vehicle`, with the drive mode and actuators of `sim`."""
+    sim = settings["sim"]
+    return load_vehicle(settings["vehicle"], drive=sim["drive"], actuators=bool(sim["actuators"]))
+
+
+def build_track(settings: Settings) -> Track:
+    """Load the track of `track`; relative files are looked for here and among the packaged tracks."""
+    return load_track(settings["track"], conf_folder() / "track")
+
+
+def choose_device(name: str) -> torch.device:
+    """Return the device for cpu, cuda or auto; raise ConfigError when it is not there."""
+    if name not in ("cpu", "cuda", "auto"):
+        raise ConfigError(f"device = {name}: allowed is cpu, cuda or auto")
+    if name == "cuda" and not torch.cuda.is_available():
+        raise ConfigError("device = cuda: no CUDA device is there; use device=cpu or device=auto")
+    return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")
+
+
+def build_race(
+    settings: Settings,
+    *,
+    cars: int,
+    seeds: Sequence[int],
+    device: torch.device | None = None,
+    termination: Termination | None = None,
+) -> Race:
+    """Build the race that the settings describe, for `cars` cars, with one seed for all or one for each."""
+    action = create_action(settings["action"])
+    sim = settings["sim"]
+    if action.drive_mode != sim["drive"]:
+        raise ConfigError(
+            f"action={settings['action']['name']} commands {action.drive_mode}, but sim.drive is {sim['drive']}; "
+            f"use sim.drive={action.drive_mode}"
+        )
+    return Race(
+        vehicle=build_vehicle(settings),
+        track=build_track(settings),
+        observe=create_observation(settings["obs"]),
+        action=action,
+        count=cars,
+        seeds=seeds,
+        randomization=construct(Randomization, settings["dr"], "dr"),
+        timing=construct(Timing, {key: sim[key] for key in ("dt", "step", "max_steps")}, "sim"),
+        start=construct(Start, settings.get("start", {}), "start"),
+        termination=termination or OffTrack(),
+        device=device or torch.device("cpu"),
+    )

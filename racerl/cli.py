@@ -1,0 +1,194 @@
+"""The command line: Typer in front, Hydra's grammar behind. Heavy modules load only when a command runs."""
+
+import logging
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from racerl import __version__
+from racerl.errors import RacerlError
+
+if TYPE_CHECKING:
+    from racerl.config import Settings
+
+app = typer.Typer(
+    name="racerl",
+    help="Learn racing policies for small cars that work on the real car.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+HYDRA = {"allow_extra_args": True, "ignore_unknown_options": True}
+
+
+def _complete(incomplete: str) -> list[str]:
+    """Complete `group=choice` from the files under conf/."""
+    folder = Path(__file__).parent / "conf"
+    folder = folder if folder.is_dir() else folder.parent.parent / "conf"
+    plus = "+" if incomplete.startswith("+") else ""
+    word = incomplete.lstrip("+")
+    group, equals, _ = word.partition("=")
+    if not equals:
+        groups = sorted(path.name for path in folder.iterdir() if path.is_dir() and path.name != "hydra")
+        return [f"{plus}{name}=" for name in groups if name.startswith(word)]
+    choices = sorted(path.stem for path in (folder / group).glob("*.yaml")) if group.isidentifier() else []
+    return [f"{plus}{group}={name}" for name in choices if f"{group}={name}".startswith(word)]
+
+
+Overrides = Annotated[
+    list[str] | None,
+    typer.Argument(metavar="[GROUP=CHOICE | KEY=VALUE]...", autocompletion=_complete, show_default=False),
+]
+Run = Annotated[
+    list[str] | None,
+    typer.Argument(metavar="RUN [KEY=VALUE]...", autocompletion=_complete, show_default=False),
+]
+Runs = Annotated[
+    list[str] | None,
+    typer.Argument(metavar="[RUN]... [KEY=VALUE]...", autocompletion=_complete, show_default=False),
+]
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"racerl {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")] = False,
+) -> None:
+    """Learn racing policies for small cars that work on the real car."""
+
+
+@app.command(context_settings=HYDRA)
+def train(overrides: Overrides = None) -> None:
+    """Train a policy: racerl train +dr=friction_0.02 out=outputs/train/first
+
+    Groups: vehicle track sim obs action dr budget. `--cfg job` shows the composed configuration, `-m` runs several.
+    """
+    _run("train", overrides, _train)
+
+
+@app.command(context_settings=HYDRA)
+def evaluate(arguments: Run = None) -> None:
+    """Race a trained policy: racerl evaluate outputs/train/first laps=20
+
+    Drives flying laps per seed; writes metrics.json and trajectories.parquet.
+    """
+    _run("evaluate", arguments, _evaluate, positional="run")
+
+
+@app.command(context_settings=HYDRA)
+def report(arguments: Runs = None) -> None:
+    """Draw the report: racerl report [RUN...]
+
+    Writes one self-contained report.html about the runs, or about all under outputs/.
+    """
+    _run("report", arguments, _report, positional="runs")
+
+
+def _run(
+    command: str,
+    arguments: list[str] | None,
+    task: Callable[["Settings", Path], None],
+    positional: str | None = None,
+) -> None:
+    from racerl.config import run_command
+
+    def tidy(settings: "Settings", out: Path) -> None:
+        logging.basicConfig(format="%(levelname)s %(message)s", level=logging.WARNING, force=True)
+        try:
+            task(settings, out)
+        finally:
+            if out.is_dir() and not any(out.iterdir()):
+                out.rmdir()
+
+    run_command(command, arguments or [], tidy, positional)
+
+
+def _train(settings: "Settings", out: Path) -> None:
+    from racerl.console import Bar, training_remark
+    from racerl.train.train import Progress, train
+
+    console = _console()
+    console.print(f"training into {out}", highlight=False, soft_wrap=True)
+
+    def show(progress: Progress) -> None:
+        left = (progress.total_steps - progress.steps) / progress.steps_per_s if progress.steps_per_s else None
+        bar.show(min(1.0, progress.steps / progress.total_steps), training_remark(progress), left)
+
+    try:
+        with Bar(console, "train") as bar:
+            facts = train(settings, out, show)
+    except KeyboardInterrupt:
+        console.print(f"interrupted; the same command with out={out} continues", highlight=False, soft_wrap=True)
+        raise
+    best = facts["best"]
+    lap = f"{best['mean_lap_s']:.3f} s" if best["mean_lap_s"] else "none"
+    console.print(
+        f"{facts['steps']:,} steps in {facts['seconds']:.0f} s; best policy: mean lap {lap}, "
+        f"{best['valid_laps']} of {best['laps']} laps clean", highlight=False, soft_wrap=True,
+    )
+    if facts["nan_cars"]:
+        console.print(f"warning: the simulation failed (NaN) for {facts['nan_cars']} cars, which were started over")
+    console.print(f"policy in {out}; race it with: racerl evaluate {out}", highlight=False, soft_wrap=True)
+
+
+def _evaluate(settings: "Settings", out: Path) -> None:
+    from racerl.console import Bar
+    from racerl.evaluate.evaluate import METRICS, evaluate
+
+    console = _console()
+    with Bar(console, "evaluate") as bar:
+        metrics = evaluate(settings, out, lambda done, total: bar.show(done / total, f"lap {done} of {total}"))
+    _print_metrics(console, metrics)
+    console.print(f"results in {out / METRICS}; draw them with: racerl report {out}", highlight=False, soft_wrap=True)
+
+
+def _print_metrics(console: Any, metrics: dict[str, Any]) -> None:
+    from rich.table import Table
+
+    def text(key: str, digits: int) -> str:
+        return "none" if metrics[key] is None else f"{metrics[key]:.{digits}f}"
+
+    table = Table("fastest valid [s]", "mean [s]", "std [s]", "E_off [m s]", "crashes", "laps", title=metrics["label"])
+    table.add_row(
+        text("fastest_valid_lap_s", 3), text("mean_lap_s", 3), text("std_lap_s", 3), text("e_off", 5),
+        f"{metrics['crash_share']:.0%}", str(metrics["laps"]),
+    )
+    console.print(table)
+    if metrics["nan_cars"]:
+        console.print(f"warning: the simulation failed (NaN) for {metrics['nan_cars']} cars; counted as crashes")
+
+
+def _report(settings: "Settings", out: Path) -> None:
+    from racerl.report.report import report
+
+    page = report(settings, out)
+    _console().print(f"report in {page}", highlight=False, soft_wrap=True)
+
+
+def _console() -> Any:
+    from rich.console import Console
+
+    return Console()
+
+
+def main() -> None:
+    """Run the command line; a user's mistake ends with one line and exit code 2."""
+    try:
+        app()
+    except RacerlError as error:
+        sys.stderr.write(f"racerl: {' '.join(str(error).split())}\n")
+        raise SystemExit(2) from None
+    except KeyboardInterrupt:
+        raise SystemExit(130) from None
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,195 @@
+"""Configurations: Hydra composes `conf/`, and what it composes leaves here as a plain mapping.
+
+A `./conf` beside the user shadows the packaged files. Overrides are Hydra's, with three conveniences: `+dr=X` and
+`dr=X` mean the same, `track=` and `vehicle=` also take a file, and a run folder may be given without its key.
+"""
+
+import os
+import re
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from hydra import compose, initialize_config_dir
+from hydra import main as hydra_main
+from hydra.core.config_search_path import ConfigSearchPath
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
+from hydra.core.plugins import Plugins
+from hydra.errors import HydraException, MissingConfigException, OverrideParseException
+from hydra.plugins.search_path_plugin import SearchPathPlugin
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from racerl.assemble import conf_folder
+from racerl.documents import read_yaml, require_finite
+from racerl.errors import ConfigError, DocumentError, suggest
+
+VERSION_BASE = "1.3"
+FILE_GROUPS = {"track": (".csv", ".yaml", ".yml"), "vehicle": (".yaml", ".yml")}
+OPTIONS = (
+    "--cfg", "-c", "--multirun", "-m", "--info", "-i", "--resolve", "--package", "-p", "--config-dir", "-cd",
+    "--config-name", "-cn", "--hydra-help", "--help",
+)
+Settings = dict[str, Any]
+
+
+class _UserFolder(SearchPathPlugin):
+    """Puts ./conf before the packaged configurations."""
+
+    def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
+        user = Path("conf").resolve()
+        if user.is_dir() and user != conf_folder().resolve():
+            search_path.prepend("user", f"file://{user}")
+
+
+def run_command(
+    command: str, arguments: Sequence[str], task: Callable[[Settings, Path], None], positional: str | None = None
+) -> None:
+    """Compose `conf/<command>.yaml` with the user's arguments and call task(settings, output folder).
+
+    Hydra's own options work (`--cfg job`, `-m`, `--info`). `positional` names the key that bare arguments fill: a
+    folder, or a list of folders when it ends with "s". Raises ConfigError, in one line, for anything mistyped.
+    """
+    overrides = _rewrite(command, arguments, positional)
+
+    failures: list[Exception] = []
+
+    def job(config: DictConfig) -> None:
+        try:
+            settings = _plain(config)
+            _check_keys(command, settings)
+            task(settings, Path(HydraConfig.get().runtime.output_dir))
+        except Exception as error:  # raised below: Hydra would print its own lines about it
+            failures.append(error)
+
+    _register()
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # let exceptions through to us
+    sys.argv = [f"racerl {command}", *overrides]
+    try:
+        hydra_main(str(conf_folder()), command, VERSION_BASE)(job)()
+    except (HydraException, OmegaConfBaseException) as error:
+        raise _translate(command, error) from error
+    if failures:
+        raise failures[0]
+
+
+def compose_settings(command: str, overrides: Sequence[str] = ()) -> Settings:
+    """Return the composed settings of a command, for use from Python; `out` is left unresolved."""
+    _register()
+    try:
+        settings = _plain(_compose(command, _rewrite(command, list(overrides), None)))
+    except (HydraException, OmegaConfBaseException) as error:
+        raise _translate(command, error) from error
+    _check_keys(command, settings)
+    return settings
+
+
+def _compose(command: str, overrides: list[str]) -> DictConfig:
+    GlobalHydra.instance().clear()
+    with initialize_config_dir(str(conf_folder()), version_base=VERSION_BASE):
+        return compose(command, overrides)
+
+
+def _register() -> None:
+    Plugins.instance().register(_UserFolder)
+
+
+def _plain(config: DictConfig) -> Settings:
+    missing = sorted(str(key) for key in OmegaConf.missing_keys(config))
+    if missing:
+        raise ConfigError(f"{missing[0]} is missing; give {missing[0]}=…")
+    settings: Settings = OmegaConf.to_container(config, resolve=True)  # type: ignore[assignment]
+    try:
+        require_finite(settings, "config")
+    except DocumentError as error:
+        raise ConfigError(str(error).removeprefix("config: ")) from error
+    return settings
+
+
+def _rewrite(command: str, arguments: Sequence[str], positional: str | None) -> list[str]:
+    """Turn the user's words into Hydra's."""
+    overrides, bare = [], []
+    groups = set(default_groups(command))
+    words = iter(arguments)
+    for word in words:
+        if word.startswith("-"):
+            if word.split("=")[0] not in OPTIONS:
+                raise ConfigError(f"unknown option '{word}'{suggest(word, OPTIONS)}")
+            overrides.append(word)
+            if word in ("--cfg", "-c", "--info", "-i", "--package", "-p", "--config-dir", "-cd", "--config-name", "-cn"):
+                overrides += [value for value in [next(words, None)] if value is not None]
+        elif positional and ("=" not in word or Path(word).is_dir()):
+            bare.append(word)
+        elif "=" not in word and not word.startswith("~"):
+            raise ConfigError(f"'{word}' is no override; write key=value, for instance dr=friction_0.02")
+        else:
+            overrides += _rewrite_override(word, groups)
+    if bare and positional:
+        overrides.append(_bare_override(positional, bare))
+    return overrides
+
+
+def _rewrite_override(word: str, groups: set[str]) -> Iterator[str]:
+    key, _, value = word.partition("=")
+    group = key.lstrip("+")
+    if group in FILE_GROUPS and value.lower().endswith(FILE_GROUPS[group]):
+        yield f"{group}=file"
+        yield f"{group}.file={_quote(value)}"
+    else:
+        yield word.lstrip("+") if group in groups else word
+
+
+def _bare_override(positional: str, bare: list[str]) -> str:
+    if positional.endswith("s"):
+        return f"{positional}=[{','.join(_quote(word) for word in bare)}]"
+    if len(bare) > 1:
+        raise ConfigError(f"{' '.join(bare)}: one {positional} folder is expected; the rest as key=value")
+    return f"{positional}={_quote(bare[0])}"
+
+
+def _quote(value: str) -> str:
+    return "'" + value.replace("\\", "\\\\").replace("'", "\\'") + "'"
+
+
+def default_groups(command: str) -> list[str]:
+    """Return the groups that a command's configuration chooses from."""
+    entries = read_yaml(conf_folder() / f"{command}.yaml").get("defaults", [])
+    names = [next(iter(entry)) for entry in entries if isinstance(entry, Mapping)]
+    return [name for name in names if not name.startswith("override ")]
+
+
+def _check_keys(command: str, settings: Settings) -> None:
+    """Raise ConfigError for keys that a `+` or `~` override added or took away."""
+    base = read_yaml(conf_folder() / f"{command}.yaml")
+    groups = [group for group in default_groups(command) if group != "hydra"]
+    known = {*groups, *(key for key in base if key != "defaults")}
+    for key in settings:
+        if key not in known:
+            raise ConfigError(f"unknown key '{key}'{suggest(key, known)}")
+    optional = {next(iter(e)) for e in base["defaults"] if isinstance(e, Mapping) and next(iter(e.values())) is None}
+    for key in sorted(known - set(settings) - optional):
+        raise ConfigError(f"{key} was removed; it is needed, give {key}=…")
+
+
+def _keys(settings: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
+    for key, value in settings.items():
+        yield f"{prefix}{key}"
+        if isinstance(value, Mapping):
+            yield from _keys(value, f"{prefix}{key}.")
+
+
+def _translate(command: str, error: Exception) -> ConfigError:
+    """Return Hydra's complaint as one line with the near choices."""
+    if isinstance(error, MissingConfigException) and error.missing_cfg_file:
+        group, _, choice = error.missing_cfg_file.rpartition("/")
+        return ConfigError(f"unknown {group or 'config'} '{choice}'{suggest(choice, error.options or [])}")
+    if isinstance(error, OverrideParseException):
+        return ConfigError(f"cannot read '{error.override}'; write key=value, with quotes around special characters")
+    text = " ".join(str(error).split())
+    key = re.search(r"(?:Could not override|Could not delete from config|Could not append to config)[^']*'([^']+)'", text)
+    if key:
+        known = [*_keys(OmegaConf.to_container(_compose(command, []), resolve=False)), *default_groups(command)]  # type: ignore[arg-type]
+        return ConfigError(f"unknown key '{key[1]}'{suggest(key[1], known)}")
+    return ConfigError(text)

@@ -1,0 +1,114 @@
+"""A trained policy: a small network from observation to action, kept as `policy.safetensors` and `policy.json`.
+
+The two files hold numbers and plain data only; loading them runs no code. The JSON names the observation and the
+action that the network was trained with.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load, save
+from torch import Tensor, nn
+
+from racerl.documents import read_json, write_bytes, write_json
+from racerl.errors import DocumentError, PolicyError
+
+if TYPE_CHECKING:
+    from racerl.env.race import Race
+
+FORMAT = 1
+WEIGHTS, FACTS = "policy.safetensors", "policy.json"
+MAX_WEIGHTS_BYTES = 256 * 1024 * 1024
+MAX_LAYERS, MAX_UNITS = 16, 65536
+SLOPE = 0.2  # of the LeakyReLU
+
+
+def build_network(sizes: list[int]) -> nn.Sequential:
+    """Return linear layers of these sizes with LeakyReLU(0.2) between them."""
+    layers: list[nn.Module] = []
+    for i in range(len(sizes) - 1):
+        layers += [nn.Linear(sizes[i], sizes[i + 1]), nn.LeakyReLU(SLOPE)]
+    return nn.Sequential(*layers[:-1])
+
+
+@dataclass(frozen=True)
+class Policy:
+    """The mean action of a trained actor."""
+
+    network: nn.Sequential
+    observation: Mapping[str, Any]  # settings of the observation it reads
+    action: Mapping[str, Any]  # settings of the action it gives
+    name: str = "policy"
+
+    @torch.no_grad()
+    def __call__(self, observation: Tensor) -> Tensor:
+        """Return actions (N, 2) in [−1, 1] for observations (N, O)."""
+        action: Tensor = self.network(observation)
+        return action.clamp(-1.0, 1.0)
+
+    def act(self, race: "Race") -> Tensor:
+        """Return the actions for the cars of a race."""
+        return self(race.observe(race))
+
+    @property
+    def sizes(self) -> list[int]:
+        """Units of every layer, input and output included."""
+        linear = [layer for layer in self.network if isinstance(layer, nn.Linear)]
+        return [linear[0].in_features, *(layer.out_features for layer in linear)]
+
+
+def save_policy(policy: Policy, folder: Path, **facts: Any) -> None:
+    """Write the policy into a folder, atomically, weights first."""
+    weights = {name: tensor.detach().cpu().contiguous() for name, tensor in policy.network.state_dict().items()}
+    write_bytes(folder / WEIGHTS, save(weights))
+    write_json(folder / FACTS, {
+        "format": FORMAT,
+        "observation": dict(policy.observation),
+        "action": dict(policy.action),
+        "layers": policy.sizes,
+        **facts,
+    })
+
+
+def load_policy(folder: Path, device: torch.device | str = "cpu") -> Policy:
+    """Read a policy; raise PolicyError when a file is missing, damaged, of another version or not finite."""
+    try:
+        facts = read_json(folder / FACTS)
+    except DocumentError as error:
+        raise PolicyError(str(error)) from error
+    if facts.get("format") != FORMAT:
+        raise PolicyError(f"{folder / FACTS}: format {facts.get('format')!r}, this racerl reads {FORMAT}; train again")
+    network = build_network(_sizes(facts, folder)).to(device)
+    try:
+        network.load_state_dict(_read_weights(folder / WEIGHTS))
+    except RuntimeError as error:
+        raise PolicyError(f"{folder / WEIGHTS}: does not fit {FACTS} ({str(error).splitlines()[-1].strip()})") from error
+    if not all(bool(torch.isfinite(tensor).all()) for tensor in network.state_dict().values()):
+        raise PolicyError(f"{folder / WEIGHTS}: holds NaN or infinite weights; train again")
+    for key in ("observation", "action"):
+        if not isinstance(facts.get(key), dict):
+            raise PolicyError(f"{folder / FACTS}: has no '{key}'; train again")
+    return Policy(network.requires_grad_(False), facts["observation"], facts["action"])
+
+
+def _sizes(facts: Mapping[str, Any], folder: Path) -> list[int]:
+    sizes = facts.get("layers")
+    whole = isinstance(sizes, list) and all(isinstance(n, int) and 0 < n <= MAX_UNITS for n in sizes)
+    if not whole or not 2 <= len(sizes or []) <= MAX_LAYERS:
+        raise PolicyError(f"{folder / FACTS}: layers = {sizes!r}; a list of 2 … {MAX_LAYERS} positive sizes was expected")
+    return list(sizes or [])
+
+
+def _read_weights(path: Path) -> dict[str, Tensor]:
+    try:
+        if path.stat().st_size > MAX_WEIGHTS_BYTES:
+            raise PolicyError(f"{path}: larger than {MAX_WEIGHTS_BYTES} bytes; is this a policy?")
+        return load(path.read_bytes())
+    except OSError as error:
+        raise PolicyError(f"{path}: cannot be read ({error.strerror})") from error
+    except SafetensorError as error:
+        raise PolicyError(f"{path}: is damaged ({error}); train again") from error

@@ -1,0 +1,136 @@
+"""Reading and writing small documents: atomic on the way out, bounded and inert on the way in.
+
+A file is written to a temporary name beside its target, flushed to disk and renamed, so a reader sees the old
+content or the new, never half of it. What is read may come from a stranger: sizes are limited, YAML aliases are
+refused (they can blow a small file up to gigabytes), and no reader can run code.
+"""
+
+import io
+import json
+import math
+import os
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from racerl.errors import DocumentError
+
+MAX_TEXT_BYTES = 8 * 1024 * 1024
+MAX_YAML_BYTES = 1024 * 1024
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a file atomically: temporary name, fsync, rename."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
+    try:
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(content)
+            stream.flush()
+            os.fsync(stream.fileno())
+        Path(temporary).chmod(0o644)
+        Path(temporary).replace(path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+
+
+def write_text(path: Path, content: str) -> None:
+    """Write a text file atomically as UTF-8."""
+    write_bytes(path, content.encode())
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write JSON atomically; NaN and infinity are refused (they are not JSON)."""
+    write_text(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
+
+
+def write_yaml(path: Path, content: Mapping[str, Any]) -> None:
+    """Write plain YAML atomically, keys in their order."""
+    write_text(path, yaml.safe_dump(dict(content), sort_keys=False))
+
+
+def read_text(path: Path, limit: int = MAX_TEXT_BYTES) -> str:
+    """Read a UTF-8 text file of at most `limit` bytes; raise DocumentError otherwise."""
+    try:
+        size = path.stat().st_size
+        if size > limit:
+            raise DocumentError(f"{path}: {size} bytes, at most {limit} are read; is this the right file?")
+        return path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise DocumentError(f"{path}: cannot be read ({error.strerror}); check the path") from error
+    except UnicodeDecodeError as error:
+        raise DocumentError(f"{path}: not a text file (byte {error.start} is not UTF-8)") from error
+
+
+def _no_constant(name: str) -> float:
+    raise ValueError(f"{name} is not allowed")
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Read a JSON object; NaN and infinity are refused."""
+    try:
+        content = json.loads(read_text(path), parse_constant=_no_constant)
+    except (ValueError, RecursionError) as error:
+        raise DocumentError(f"{path}: not valid JSON ({error}); write it again") from error
+    if not isinstance(content, dict):
+        raise DocumentError(f"{path}: holds a {type(content).__name__}, an object was expected")
+    return content
+
+
+class _InertLoader(yaml.SafeLoader):
+    """SafeLoader without aliases; also reads 1e-3 as a number, as YAML 1.2 does."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.events.AliasEvent):
+            event = self.peek_event()
+            raise yaml.constructor.ConstructorError(None, None, "aliases are not allowed", event.start_mark)
+        return super().compose_node(parent, index)
+
+
+def _construct_float_like(loader: yaml.SafeLoader, node: Any) -> Any:
+    text = loader.construct_scalar(node)
+    try:
+        return float(text) if any(c.isdigit() for c in text) and "_" not in text else text
+    except ValueError:
+        return text
+
+
+_InertLoader.add_constructor("tag:yaml.org,2002:str", _construct_float_like)
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """Read a YAML mapping of at most 1 MiB, without tags, aliases or non-finite numbers."""
+    text = read_text(path, MAX_YAML_BYTES)
+    try:
+        content = yaml.load(io.StringIO(text), Loader=_InertLoader)  # noqa: S506 (a SafeLoader)
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
+        detail = " ".join(str(error).split()) or type(error).__name__
+        raise DocumentError(f"{path}: not valid YAML ({detail})") from error
+    if not isinstance(content, dict):
+        raise DocumentError(f"{path}: holds a {type(content).__name__}, a mapping was expected")
+    require_finite(content, str(path))
+    return content
+
+
+def require_finite(content: Any, where: str) -> None:
+    """Raise DocumentError when a number anywhere inside is NaN or infinite."""
+    if isinstance(content, Mapping):
+        for key, value in content.items():
+            require_finite(value, f"{where}: {key}")
+    elif isinstance(content, (list, tuple)):
+        for value in content:
+            require_finite(value, where)
+    elif isinstance(content, float) and not math.isfinite(content):
+        raise DocumentError(f"{where} is {content}; give a finite number")
+
+
+def inside(folder: Path, name: str) -> Path:
+    """Resolve `name` inside `folder`; raise DocumentError for a path that escapes it."""
+    target = (folder / name).resolve()
+    if not target.is_relative_to(folder.resolve()):
+        raise DocumentError(f"{name}: leads out of {folder}; use a file inside that folder")
+    return target

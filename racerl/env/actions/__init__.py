@@ -1,0 +1,35 @@
+"""How a policy's output in [−1, 1]² becomes a command, one file each; module `speed_rate` holds `SpeedRate`.
+
+A command is (2, N): the steering reference in rad and the drive reference, a wheel speed in m/s or a current in A.
+"""
+
+from collections.abc import Mapping
+from typing import Any, ClassVar, Protocol
+
+from torch import Tensor
+
+from racerl import registry
+
+OMEGA_REF_MIN, OMEGA_REF_MAX = 0.01, 7.0  # m/s
+
+
+class Action(Protocol):
+    """A map from policy outputs to commands."""
+
+    drive_mode: ClassVar[str]  # the vehicle's drive mode that the command is for
+    steering_max: float  # rad
+    drive_max: float  # m/s or A
+    rate_max: float  # m/s² or A/s
+
+    def command(self, action: Tensor, last: Tensor, dt: float) -> Tensor:
+        """Return the command (2, N) for outputs (N, 2) in [−1, 1], given the last command (2, N)."""
+
+    def initial(self, omega: Tensor) -> Tensor:
+        """Return the drive reference (N,) of cars that start with wheel speed ω (N,)."""
+
+
+def create_action(settings: Mapping[str, Any]) -> Action:
+    """Build the action that `settings["name"]` names."""
+    import racerl.env.actions as package
+
+    return registry.create(package, settings)  # type: ignore[no-any-return]

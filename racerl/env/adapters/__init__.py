@@ -1,0 +1,1 @@
+"""The race as other libraries expect it."""

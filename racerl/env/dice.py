@@ -1,0 +1,43 @@
+"""Random draws of a race, from explicit generators: one for all cars, or one per car.
+
+With one generator per car, what happens to a car depends on its own seed only, not on its neighbours.
+"""
+
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Tensor
+
+
+class Dice:
+    """Uniform and normal draws of shape (rows, N)."""
+
+    def __init__(self, seeds: Sequence[int], count: int, device: torch.device, dtype: torch.dtype) -> None:
+        self.count, self.device, self.dtype = count, device, dtype
+        self.generators = [torch.Generator(device).manual_seed(seed) for seed in seeds]
+
+    def uniform(self, rows: int, mask: Tensor) -> Tensor:
+        """Return draws from [0, 1) for the masked cars; what others get is unspecified."""
+        return self._draw(torch.rand, rows, mask)
+
+    def normal(self, rows: int, mask: Tensor) -> Tensor:
+        """Return draws from N(0, 1) for the masked cars; what others get is unspecified."""
+        return self._draw(torch.randn, rows, mask)
+
+    def _draw(self, source: Callable[..., Tensor], rows: int, mask: Tensor) -> Tensor:
+        kind = {"device": self.device, "dtype": self.dtype}
+        if len(self.generators) == 1:
+            return source(rows, self.count, generator=self.generators[0], **kind)
+        draws = torch.zeros(rows, self.count, **kind)  # type: ignore[arg-type]
+        for car in mask.nonzero().flatten().tolist():
+            draws[:, car] = source(rows, generator=self.generators[car], **kind)
+        return draws
+
+    def snapshot(self) -> Tensor:
+        """Return the state of all generators, (G, bytes)."""
+        return torch.stack([generator.get_state() for generator in self.generators])
+
+    def restore(self, states: Tensor) -> None:
+        """Continue from a snapshot."""
+        for generator, state in zip(self.generators, states.cpu(), strict=True):
+            generator.set_state(state)

@@ -1,0 +1,49 @@
+"""The geometric observation: the car's state and the track ahead as curvatures and widths.
+
+v_x, v_y, u, n, r, δ, δ_ref, ω̇_ref, ω_ref, ω, then curvature and half-width at `points` places `spacing` metres apart,
+the first one `spacing` ahead. u is the heading relative to the track, n the offset from the middle of the track.
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from racerl.env.observations import HEADING_MAX, SPEED_MAX, YAW_RATE_MAX, actuator_terms
+
+if TYPE_CHECKING:
+    from racerl.env.race import Race
+
+
+@dataclass(frozen=True)
+class Geometric:
+    """State and preview; independent of where on the track the car is."""
+
+    points: int = 20
+    spacing: float = 0.3  # m
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.points <= 500 or not 0.01 <= self.spacing <= 50.0:
+            raise ValueError(f"points = {self.points} (1 … 500), spacing = {self.spacing} m (0.01 … 50)")
+
+    @property
+    def size(self) -> int:
+        """10 numbers of the car and two per preview point."""
+        return 10 + 2 * self.points
+
+    def __call__(self, race: "Race") -> Tensor:
+        """Return (N, 10 + 2·points)."""
+        frame = race.frame
+        ahead = race.s[:, None] + self.spacing * torch.arange(1, self.points + 1, device=race.s.device)
+        car = [
+            race.v_x / SPEED_MAX,
+            race.v_y / SPEED_MAX,
+            race.heading / HEADING_MAX,
+            race.offset / race.track.max_half_width,
+            race.yaw_rate / YAW_RATE_MAX,
+            *actuator_terms(race),
+        ]
+        curvature = frame.lookup(frame.curvature, ahead) / max(race.track.max_curvature, 1e-3)
+        width = frame.half_width(ahead) / race.track.max_half_width
+        return torch.cat([torch.stack(car, dim=1), curvature, width], dim=1)

@@ -1,0 +1,230 @@
+"""The race: N independent cars on one track, stepped together.
+
+One control step holds the command for `dt` seconds, integrates the cars in Cartesian coordinates with Runge–Kutta
+steps of `step` seconds, projects them onto the track, rewards progress, and starts over the cars whose episode ended.
+All arrays are tensors of shape (N,) unless said otherwise.
+"""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from racerl.env.actions import Action
+from racerl.env.dice import Dice
+from racerl.env.observations import Observation
+from racerl.env.randomize import ParameterDraws, Randomization
+from racerl.env.reward import progress_reward
+from racerl.env.termination import STOP_SPEED, OffTrack, Termination
+from racerl.errors import ConfigError
+from racerl.track.frenet import FrenetFrame, wrap_angle
+from racerl.track.track import Track
+from racerl.vehicle.kernel import choose_motion
+from racerl.vehicle.vehicle import STATE, Vehicle
+
+log = logging.getLogger(__name__)
+
+X, Y, YAW, V_X, V_Y, YAW_RATE, DELTA, OMEGA = range(len(STATE))
+# all that the next step depends on, beside the drawn parameters and the generator
+KEPT = (
+    "state", "command", "command_rate", "s", "n", "heading", "margin", "offset", "still_time", "travelled", "age",
+)
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Control period, integration step and episode length."""
+
+    dt: float = 0.05  # s
+    step: float = 0.01  # s
+    max_steps: int = 1024  # control steps until an episode is cut off
+
+    def __post_init__(self) -> None:
+        if not 0.001 <= self.dt <= 1.0 or not 0.0001 <= self.step <= self.dt:
+            raise ConfigError(f"sim: dt = {self.dt} s (0.001 … 1), step = {self.step} s (0.0001 … dt)")
+        if abs(self.dt / self.step - self.substeps) > 1e-6:
+            raise ConfigError(f"sim: dt = {self.dt} s is not a multiple of step = {self.step} s; choose a divisor")
+        if self.max_steps < 1:
+            raise ConfigError(f"sim: max_steps = {self.max_steps}: allowed is at least 1")
+
+    @property
+    def substeps(self) -> int:
+        """Integration steps per control step."""
+        return round(self.dt / self.step)
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where and how fast an episode starts: anywhere on the centreline, along it."""
+
+    speed_min: float = 0.5  # m/s
+    speed_max: float = 2.0  # m/s
+
+
+class Step(NamedTuple):
+    """The outcome of one control step, for N cars."""
+
+    observation: Tensor  # (N, O), of the next episode where one ended
+    reward: Tensor
+    terminated: Tensor  # ended for good
+    truncated: Tensor  # cut off; bootstrap with final_observation
+    final_observation: Tensor  # (N, O), before any restart
+    progress: Tensor  # m along the centreline
+    command: Tensor  # (2, N), what was commanded
+    margin: Tensor  # m to the nearer boundary, before any restart
+    faulty: Tensor  # the simulation failed (NaN) and the car was started over
+
+
+@dataclass
+class Race:
+    """N cars, their track, and what a policy sees and does."""
+
+    vehicle: Vehicle
+    track: Track
+    observe: Observation
+    action: Action
+    count: int
+    seeds: Sequence[int]  # one for all cars, or one for each
+    randomization: Randomization = field(default_factory=Randomization)
+    timing: Timing = field(default_factory=Timing)
+    start: Start = field(default_factory=Start)
+    termination: Termination = field(default_factory=OffTrack)
+    device: torch.device = field(default_factory=lambda: torch.device("cpu"))
+    dtype: torch.dtype = torch.float32
+
+    def __post_init__(self) -> None:
+        if self.count < 1:
+            raise ConfigError(f"cars = {self.count}: allowed is at least 1")
+        if len(self.seeds) not in (1, self.count):
+            raise ConfigError(f"{len(self.seeds)} seeds for {self.count} cars: give one for all or one for each")
+        self.dice = Dice(self.seeds, self.count, self.device, self.dtype)
+        self.frame = FrenetFrame(self.track, self.device, self.dtype)
+        self.draws = ParameterDraws(self.vehicle, self.randomization, self.count, self.device, self.dtype)
+        self.motion = choose_motion(
+            self.vehicle, self.draws.names, self.timing.step, self.timing.substeps, self.device, self.dtype
+        )
+        self.faults = 0
+        zeros = torch.zeros(self.count, device=self.device, dtype=self.dtype)
+        self.state = torch.zeros(len(self.vehicle.states), self.count, device=self.device, dtype=self.dtype)
+        self.command = torch.zeros(2, self.count, device=self.device, dtype=self.dtype)
+        self.command_rate, self.s, self.n, self.heading = zeros, zeros, zeros, zeros
+        self.margin, self.offset, self.still_time = zeros, zeros, zeros
+        self.travelled = zeros.double()  # m along the centreline, unwrapped since the episode's start
+        self.age = torch.zeros(self.count, device=self.device, dtype=torch.long)  # control steps
+        self.reset()
+
+    # the rows of the state that observations name
+    v_x = property(lambda self: self.state[V_X])
+    v_y = property(lambda self: self.state[V_Y])
+    yaw_rate = property(lambda self: self.state[YAW_RATE])
+    delta = property(lambda self: self.state[DELTA])
+    omega = property(lambda self: self.state[OMEGA])
+
+    def reset(self) -> Tensor:
+        """Start all cars over; return the observation (N, O)."""
+        self._restart(torch.ones(self.count, device=self.device, dtype=torch.bool))
+        return self.observe(self)
+
+    def reseed(self, seeds: Sequence[int]) -> None:
+        """Use new seeds from the next restart on."""
+        self.dice = Dice(seeds, self.count, self.device, self.dtype)
+
+    @torch.no_grad()
+    def step(self, action: Tensor) -> Step:
+        """Drive all cars for one control step with actions (N, 2) in [−1, 1]; outside values are clamped."""
+        self._apply(action)
+        progress, faulty = self._move()
+        ended = self.termination(self) & ~faulty
+        truncated = (self.age >= self.timing.max_steps) & ~ended & ~faulty
+        reward = progress_reward(progress, ended, faulty)
+        final, command, margin = self.observe(self), self.command, self.margin
+        over = ended | truncated | faulty
+        if bool(over.any()):
+            self._restart(over)
+            observation = self.observe(self)
+        else:
+            observation = final
+        return Step(observation, reward, ended | faulty, truncated, final, progress, command, margin, faulty)
+
+    def _apply(self, action: Tensor) -> None:
+        last = self.command
+        clamped = torch.nan_to_num(action.to(self.dtype)).clamp(-1.0, 1.0)
+        self.command = self.action.command(clamped, last, self.timing.dt)
+        self.command_rate = (self.command[1] - last[1]) / self.timing.dt
+
+    def _move(self) -> tuple[Tensor, Tensor]:
+        """Integrate and project; return the progress in m and the cars whose state is no longer finite."""
+        moved = self.motion(self.state, self.command, self.draws.values)
+        faulty = ~torch.isfinite(moved).all(dim=0)
+        if bool(faulty.any()):
+            self._report(faulty)
+            moved = torch.where(faulty, self.state, moved)
+        self.state = moved
+        self.age = self.age + 1
+        last = self.s
+        self._locate()
+        progress = self.frame.difference(self.s, last)
+        self.travelled = self.travelled + progress
+        still = self.v_x.abs() < STOP_SPEED
+        self.still_time = torch.where(still, self.still_time + self.timing.dt, torch.zeros_like(self.still_time))
+        return progress, faulty
+
+    def _locate(self) -> None:
+        foot = self.frame.project(self.state[X], self.state[Y], self.s)
+        self.s, self.n = foot.s, foot.n
+        self.heading = wrap_angle(self.state[YAW] - foot.yaw)
+        self._measure()
+
+    def _measure(self) -> None:
+        """Update the distance to the boundary and to the middle of the track from s and n."""
+        left = self.frame.lookup(self.frame.width_left, self.s)
+        right = self.frame.lookup(self.frame.width_right, self.s)
+        self.margin = torch.minimum(left - self.n, right + self.n)
+        self.offset = self.n - (left - right) / 2
+
+    def _restart(self, mask: Tensor) -> None:
+        """Start the masked cars at a random place on the centreline, along it, with new parameters."""
+        self.draws.draw(mask, self.dice)
+        place, pace = self.dice.uniform(2, mask)
+        s = self.frame.wrap(place * self.track.length)
+        speed = self.start.speed_min + pace * (self.start.speed_max - self.start.speed_min)
+        x, y, yaw = self.frame.position(s, torch.zeros_like(s))
+        fresh = torch.zeros_like(self.state)
+        fresh[X], fresh[Y], fresh[YAW], fresh[V_X], fresh[OMEGA] = x, y, yaw, speed, speed
+        command = torch.stack([torch.zeros_like(speed), self.action.initial(speed)])
+        self.state = torch.where(mask, fresh, self.state)
+        self.command = torch.where(mask, command, self.command)
+        self.command_rate = self.command_rate.masked_fill(mask, 0.0)
+        self.still_time = self.still_time.masked_fill(mask, 0.0)
+        self.age = self.age.masked_fill(mask, 0)
+        self.s = torch.where(mask, s, self.s)
+        self.n, self.heading = self.n.masked_fill(mask, 0.0), self.heading.masked_fill(mask, 0.0)
+        self._measure()
+        self.travelled = torch.where(mask, self.s.double(), self.travelled)
+
+    def _report(self, faulty: Tensor) -> None:
+        """Count cars whose simulation failed and log the state they failed from."""
+        self.faults += int(faulty.sum())
+        car = int(faulty.nonzero()[0])
+        state = ", ".join(
+            f"{name} {float(value):.4g}" for name, value in zip(self.vehicle.states, self.state[:, car], strict=True)
+        )
+        log.warning(
+            "simulation failed (NaN) for %d of %d cars, started over; car %d: %s; command %s",
+            int(faulty.sum()), self.count, car, state, [round(value, 4) for value in self.command[:, car].tolist()],
+        )
+
+    def snapshot(self) -> dict[str, Tensor]:
+        """Return everything that the next step depends on, as tensors."""
+        kept = {name: getattr(self, name) for name in KEPT}
+        return {**kept, "parameters": self.draws.values, "dice": self.dice.snapshot()}
+
+    def restore(self, kept: dict[str, Tensor]) -> None:
+        """Continue from a snapshot."""
+        for name in KEPT:
+            setattr(self, name, kept[name].to(self.device))
+        self.draws.values = kept["parameters"].to(self.device)
+        self.dice.restore(kept["dice"])

@@ -1,0 +1,66 @@
+"""Domain randomization: at each episode start every chosen parameter is multiplied by a draw from N(1, σ).
+
+Parameters are chosen by dotted name or pattern (`friction`, `*.p_Ky1`). Draws are kept inside the physical bounds.
+"""
+
+import fnmatch
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from racerl.env.dice import Dice
+from racerl.errors import ConfigError, suggest
+from racerl.vehicle.parameter import specifications, values
+from racerl.vehicle.vehicle import Vehicle
+
+
+@dataclass(frozen=True)
+class Randomization:
+    """Which parameters vary, and by how much."""
+
+    sigma: float = 0.0
+    parameters: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.sigma, (int, float)) or not 0.0 <= self.sigma <= 1.0:
+            raise ConfigError(f"dr.sigma = {self.sigma}: allowed is 0 … 1 (a share of each value)")
+
+    def names(self, vehicle: Vehicle) -> list[str]:
+        """Return the dotted names that the patterns stand for; raise ConfigError when one matches nothing."""
+        known = values(vehicle)
+        chosen = []
+        for pattern in self.parameters:
+            matches = fnmatch.filter(known, pattern)
+            if not matches:
+                raise ConfigError(f"dr.parameters: '{pattern}' matches no vehicle parameter{suggest(pattern, known)}")
+            chosen += [name for name in matches if name not in chosen and known[name] != 0.0]
+        return chosen
+
+
+class ParameterDraws:
+    """The randomized parameters of N cars, one row each, drawn anew for cars that start over."""
+
+    def __init__(
+        self, vehicle: Vehicle, randomization: Randomization, count: int, device: torch.device, dtype: torch.dtype
+    ) -> None:
+        self.sigma = randomization.sigma
+        self.names = randomization.names(vehicle) if self.sigma > 0 else []
+        nominal, bounds = values(vehicle), specifications(vehicle)
+
+        def column(numbers: Sequence[float]) -> Tensor:
+            return torch.tensor(numbers, device=device, dtype=dtype)[:, None]
+
+        self._nominal = column([float(nominal[name]) for name in self.names])
+        self._low = column([bounds[name].low for name in self.names])
+        self._high = column([bounds[name].high for name in self.names])
+        self.values = self._nominal.expand(-1, count).clone()  # (P, N)
+
+    def draw(self, mask: Tensor, dice: Dice) -> None:
+        """Draw new parameters for the masked cars."""
+        if not self.names:
+            return
+        noise = dice.normal(len(self.names), mask)
+        fresh = (self._nominal * (1.0 + self.sigma * noise)).clamp(self._low, self._high)
+        self.values = torch.where(mask, fresh, self.values)

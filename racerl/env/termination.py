@@ -1,0 +1,42 @@
+"""When an episode ends for good.
+
+`OffTrack`   the centre of gravity leaves the track: training.
+`Crash`      more than 0.2 m off track, a spin (|u| > π/2) or a stop: evaluation, which lets a car return by itself.
+"""
+
+import math
+from typing import TYPE_CHECKING, Protocol
+
+from torch import Tensor
+
+if TYPE_CHECKING:
+    from racerl.env.race import Race
+
+CRASH_DISTANCE = 0.2  # m beyond the boundary
+STOP_SPEED = 0.1  # m/s
+HALF_TURN = math.pi / 2  # rad
+STOP_TIME = 1.0  # s below that speed
+
+
+class Termination(Protocol):
+    """Decides which cars' episodes end."""
+
+    def __call__(self, race: "Race") -> Tensor:
+        """Return a mask (N,)."""
+
+
+class OffTrack:
+    """Ends where |n| > W."""
+
+    def __call__(self, race: "Race") -> Tensor:
+        """Return the cars beyond a boundary."""
+        return race.margin < 0
+
+
+class Crash:
+    """Ends at a crash only."""
+
+    def __call__(self, race: "Race") -> Tensor:
+        """Return the cars far off, spun or standing."""
+        spun = race.heading.abs() > HALF_TURN
+        return (race.margin < -CRASH_DISTANCE) | spun | (race.still_time > STOP_TIME)

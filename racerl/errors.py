@@ -1,0 +1,41 @@
+"""Errors that a user can mend: one line with the value, what is allowed and what to do."""
+
+import difflib
+from collections.abc import Iterable
+
+
+class RacerlError(Exception):
+    """A mistake in what the user gave; the command line prints it as one line without a traceback."""
+
+
+class ConfigError(RacerlError):
+    """An unknown group, choice or key, or a value outside its range."""
+
+
+class DocumentError(RacerlError):
+    """A YAML, JSON, CSV or tensor file that cannot be read safely."""
+
+
+class VehicleError(RacerlError):
+    """A vehicle whose parameters are missing, unknown or outside their physical bounds."""
+
+
+class TrackError(RacerlError):
+    """A track that cannot be read, does not close or has no width."""
+
+
+class RunError(RacerlError):
+    """A run folder that is incomplete, busy, foreign or of another version."""
+
+
+class PolicyError(RacerlError):
+    """A policy file that is damaged or does not fit the environment."""
+
+
+def suggest(value: str, choices: Iterable[str], most: int = 3) -> str:
+    """Return "; did you mean …?" with the nearest choices, or all choices when none is near."""
+    known = sorted(choices)
+    near = difflib.get_close_matches(value, known, n=most, cutoff=0.6)
+    if near:
+        return f"; did you mean {' or '.join(near)}?"
+    return f"; choose from: {', '.join(known)}" if known else ""

@@ -1,0 +1,1 @@
+"""Racing a controller and scoring its laps."""

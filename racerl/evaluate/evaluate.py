@@ -1,0 +1,121 @@
+"""The evaluate stage: flying laps of a trained policy in a car, scored and recorded.
+
+Reads a finished training run; writes `metrics.json`, `trajectories.parquet` (the drive-log format with the place on the
+track added) and `track.csv` (centreline and boundaries, for drawing).
+"""
+
+import io
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import torch
+
+from racerl.assemble import build_race, choose_device
+from racerl.control.policy import load_policy
+from racerl.documents import write_bytes, write_json, write_text
+from racerl.env.race import Race
+from racerl.env.termination import Crash
+from racerl.errors import ConfigError, PolicyError
+from racerl.evaluate.drive import Recorder, drive
+from racerl.evaluate.laps import rows, score
+from racerl.run import RunFolder
+from racerl.track.track import Track
+
+METRICS, TRAJECTORIES, TRACK = "metrics.json", "trajectories.parquet", "track.csv"
+UNLIMITED = 2**31  # control steps: evaluation is never cut off
+OVERRIDABLE = ("vehicle", "track", "sim", "dr")
+
+
+def evaluate(
+    settings: Mapping[str, Any], out: Path, on_lap: Callable[[int, int], None] = lambda done, total: None
+) -> dict[str, Any]:
+    """Evaluate the policy of `settings["run"]`; return the metrics that were written into `out`."""
+    trained = RunFolder.open_complete(Path(settings["run"]), "train")
+    seeds, laps = _seeds(settings["seeds"]), settings["laps"]
+    if isinstance(laps, bool) or not isinstance(laps, int) or not 1 <= laps <= 10_000:
+        raise ConfigError(f"laps = {laps}: allowed is a whole number, 1 … 10000")
+    torch.set_num_threads(settings["threads"])
+    race_settings = combine(trained.settings(), settings)
+    device = choose_device(settings["device"])
+    policy = load_policy(trained.path, device)
+    race = build_evaluation_race(race_settings, seeds, device)
+    if race.observe.size != policy.sizes[0]:
+        raise PolicyError(
+            f"{trained.path}: the policy reads {policy.sizes[0]} numbers, the observation has {race.observe.size}"
+        )
+
+    folder = RunFolder.start(out, "evaluate", settings, seed=seeds, threads=settings["threads"], device=str(device))
+    recorder = Recorder(race, seeds)
+    driven = drive(race, policy, laps, recorder, lambda fewest: on_lap(fewest, laps))
+    metrics = {
+        **score(driven),
+        "laps_per_seed": laps,
+        "track": race.track.name,
+        "car": settings["car"]["name"],
+        "controller": policy.name,
+        "seed": seeds,
+        "run": str(settings["run"]),
+        "run_id": trained.manifest["run_id"],
+        "trained": {key: trained.manifest.get(key) for key in ("steps", "seconds")},
+        "label": label(trained.settings()),
+        "nan_cars": race.faults,
+        "git_sha": folder.manifest["git_sha"],
+        "rows": rows(driven, seeds),
+    }
+    write_bytes(folder.path / TRAJECTORIES, _parquet(recorder.log()))
+    write_text(folder.path / TRACK, track_table(race.track))
+    write_json(folder.path / METRICS, metrics)
+    folder.finish(train_run_id=trained.manifest["run_id"], nan_cars=race.faults)
+    return metrics
+
+
+def combine(trained: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings of the race: those of the training run, in the car and with the overrides given here."""
+    combined = dict(trained)
+    for group in OVERRIDABLE:
+        if settings.get(group) is not None:
+            combined[group] = settings[group]
+    # the car that is driven has actuators, whatever the policy was trained with
+    combined["sim"] = {**combined["sim"], "actuators": settings["car"]["actuators"], "max_steps": UNLIMITED}
+    return combined
+
+
+def build_evaluation_race(settings: Mapping[str, Any], seeds: list[int], device: torch.device) -> Race:
+    """Build a race with one car per seed, which ends an episode only at a crash."""
+    return build_race(settings, cars=len(seeds), seeds=seeds, device=device, termination=Crash())
+
+
+def label(settings: Mapping[str, Any]) -> str:
+    """Return a short name of a policy from what it was trained with."""
+    parts = [settings["obs"]["name"], settings["action"]["name"]]
+    dr = settings["dr"]
+    kind = "friction" if list(dr["parameters"]) == ["friction"] else "all" if len(dr["parameters"]) > 1 else ""
+    parts.append(f"{kind} σ = {dr['sigma']:g}".strip() if dr["sigma"] else "no randomization")
+    if not settings["sim"]["actuators"]:
+        parts.append("no actuator model")
+    return ", ".join(part.replace("_", " ") for part in parts)
+
+
+def track_table(track: Track) -> str:
+    """Return centreline and boundaries as CSV."""
+    s = np.arange(len(track.x)) * track.spacing
+    (left_x, left_y), (right_x, right_y) = track.boundary(1), track.boundary(-1)
+    columns = {"s_m": s, "x_m": track.x, "y_m": track.y, "left_x_m": left_x, "left_y_m": left_y,
+               "right_x_m": right_x, "right_y_m": right_y, "curvature_1_m": track.curvature}
+    return pd.DataFrame(columns).to_csv(index=False, float_format="%.5f")
+
+
+def _seeds(value: Any) -> list[int]:
+    seeds = [value] if isinstance(value, int) else list(value)
+    if not seeds or not all(isinstance(seed, int) and 0 <= seed < 2**31 for seed in seeds):
+        raise ConfigError(f"seeds = {value}: allowed is a list of whole numbers, 0 … 2³¹ − 1")
+    return seeds
+
+
+def _parquet(table: pd.DataFrame) -> bytes:
+    stream = io.BytesIO()
+    table.to_parquet(stream, index=False)
+    return stream.getvalue()

@@ -1,0 +1,150 @@
+"""The run folder: what every stage writes its results into, with a manifest that says where they came from.
+
+`manifest.json` holds the format, the stage, its status (running, complete), the run's id, the seed, versions, threads,
+CPU and git sha. A folder that already holds another run is never written into.
+"""
+
+import hashlib
+import json
+import os
+import platform
+import subprocess
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import racerl
+from racerl.documents import read_json, read_yaml, write_json, write_yaml
+from racerl.errors import DocumentError, RunError
+
+FORMAT = 1
+MANIFEST, CONFIG = "manifest.json", "config.yaml"
+LIBRARIES = ("torch", "stable-baselines3", "numpy", "casadi")
+
+
+def config_hash(settings: Mapping[str, Any]) -> str:
+    """Return a hash of the settings that decide a result; `out` does not."""
+    decisive = {key: value for key, value in settings.items() if key != "out"}
+    return hashlib.sha256(json.dumps(decisive, sort_keys=True, default=str).encode()).hexdigest()[:16]
+
+
+def provenance() -> dict[str, Any]:
+    """Return versions, machine and git sha; never a path or a host name."""
+    return {
+        "racerl": racerl.__version__,
+        "git_sha": git_sha(),
+        "python": platform.python_version(),
+        "libraries": {name: metadata.version(name) for name in LIBRARIES},
+        "cpu": cpu_name(),
+        "cpu_count": os.cpu_count(),
+    }
+
+
+def git_sha() -> str | None:
+    """Return the commit of the checkout that racerl runs from, with "+changes" when it is dirty; None in a wheel."""
+    root = Path(racerl.__file__).resolve().parent.parent
+    if not (root / ".git").exists():
+        return None
+    try:
+        sha = _git(root, "rev-parse", "HEAD")
+        return sha + ("+changes" if _git(root, "status", "--porcelain", "--untracked-files=no") else "")
+    except (OSError, subprocess.SubprocessError):
+        return None
+
+
+def _git(root: Path, *arguments: str) -> str:
+    command = ["git", "-C", str(root), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout.strip()  # noqa: S603
+
+
+def cpu_name() -> str:
+    """Return the processor's model name."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        return next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
+    except (OSError, StopIteration):
+        return platform.processor() or platform.machine()
+
+
+class RunFolder:
+    """One stage's results; created by `start` or opened by `open_complete`."""
+
+    def __init__(self, path: Path, manifest: dict[str, Any]) -> None:
+        self.path = path
+        self.manifest = manifest
+
+    @classmethod
+    def start(cls, path: Path, stage: str, settings: Mapping[str, Any], **facts: Any) -> "RunFolder":
+        """Create the folder, or continue an interrupted run of the same configuration in it.
+
+        Raises RunError when the folder holds anything else: results are never overwritten.
+        """
+        identity = config_hash(settings)
+        if path.exists() and not path.is_dir():
+            raise RunError(f"out = {path}: is a file; give a folder")
+        if (path / MANIFEST).is_file():
+            folder = cls._open(path)
+            if folder.manifest["config_hash"] != identity or folder.manifest["stage"] != stage:
+                raise RunError(f"out = {path}: already holds another {folder.manifest['stage']} run; choose another out=")
+            if folder.manifest["status"] == "complete":
+                raise RunError(f"out = {path}: already holds this very run, complete; choose another out=")
+            return folder
+        if path.is_dir() and any(path.iterdir()):
+            raise RunError(f"out = {path}: is not empty and holds no racerl run; choose another out=")
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            manifest = {
+                "format": FORMAT,
+                "stage": stage,
+                "status": "running",
+                "run_id": f"{identity}-{os.urandom(4).hex()}",
+                "config_hash": identity,
+                "started": datetime.now(UTC).isoformat(timespec="seconds"),
+                **provenance(),
+                **facts,
+            }
+            write_yaml(path / CONFIG, settings)
+            write_json(path / MANIFEST, manifest)
+        except OSError as error:
+            raise RunError(f"out = {path}: cannot be written ({error.strerror}); choose another out=") from error
+        return cls(path, manifest)
+
+    @classmethod
+    def open_complete(cls, path: Path, stage: str | None = None) -> "RunFolder":
+        """Open a finished run; raise RunError when it is missing, incomplete or of another version or stage."""
+        folder = cls._open(path)
+        if stage and folder.manifest["stage"] != stage:
+            raise RunError(f"{path}: is a {folder.manifest['stage']} run, a {stage} run was expected")
+        if folder.manifest["status"] != "complete":
+            raise RunError(f"{path}: the run is not complete; run the same command with out={path} to continue it")
+        return folder
+
+    @classmethod
+    def _open(cls, path: Path) -> "RunFolder":
+        if not (path / MANIFEST).is_file():
+            raise RunError(f"{path}: is no racerl run folder ({MANIFEST} is missing)")
+        try:
+            manifest = read_json(path / MANIFEST)
+        except DocumentError as error:
+            raise RunError(str(error)) from error
+        if manifest.get("format") != FORMAT:
+            raise RunError(f"{path}: run format {manifest.get('format')!r}, this racerl reads {FORMAT}; run it again")
+        for key in ("stage", "status", "run_id", "config_hash"):
+            if not isinstance(manifest.get(key), str):
+                raise RunError(f"{path}: {MANIFEST} has no '{key}'; the folder is damaged, run it again")
+        return cls(path, manifest)
+
+    def settings(self) -> dict[str, Any]:
+        """Return the resolved configuration of the run."""
+        try:
+            return read_yaml(self.path / CONFIG)
+        except DocumentError as error:
+            raise RunError(f"{self.path}: {error}") from error
+
+    def finish(self, **facts: Any) -> None:
+        """Mark the run complete and add what is known now."""
+        finished = datetime.now(UTC).isoformat(timespec="seconds")
+        self.manifest = {**self.manifest, "status": "complete", "finished": finished, **facts}
+        write_json(self.path / MANIFEST, self.manifest)

@@ -1,0 +1,130 @@
+"""Cars in the coordinates of the track: projection onto the centreline and look-ups over arc length.
+
+A car's foot point is followed, not searched: starting from where it was, the distance to the centreline is walked
+downhill to the bottom of its valley. On a regular stretch that valley stays the car's own even when another part of
+the track comes closer, so a car never jumps across an infield. In a hairpin tighter than the track is wide, 1 − κn
+vanishes inside the track; valleys meet there, parted by ridges of a percent, and the walk steps over those.
+
+Within a table cell the centreline is an arc of its curvature κ. With (a, b) the car relative to the cell's point,
+along and left of it:  Δs = atan(κa/(1 − κb))/κ,  n = (2b − κ(a² + b²))/(1 + √((1 − κb)² + κ²a²)).
+"""
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from racerl.track.track import Track
+
+REACH = 2.0  # m of centreline searched to either side of the last foot point
+RIDGE = 1.05  # a rise of the squared distance by this factor does not stop the walk
+SMALLEST_STRETCH = 0.05  # lower bound on |1 − κb|, where Δs is clamped to a cell anyway
+
+
+class Foot(NamedTuple):
+    """Where cars are on the track, each of shape (N,)."""
+
+    s: Tensor  # m along the centreline, in [0, length)
+    n: Tensor  # m, positive to the left
+    yaw: Tensor  # rad, direction of the centreline
+
+
+def wrap_angle(angle: Tensor) -> Tensor:
+    """Return the angle in [−π, π)."""
+    return torch.remainder(angle + math.pi, 2 * math.pi) - math.pi
+
+
+class FrenetFrame:
+    """The track's tables as tensors, for batches of cars."""
+
+    def __init__(self, track: Track, device: torch.device | str = "cpu", dtype: torch.dtype = torch.float32) -> None:
+        def table(values: object) -> Tensor:
+            return torch.as_tensor(values, dtype=dtype, device=device)
+
+        self.length = track.length
+        self.spacing = track.spacing
+        self.count = len(track.x)
+        self.x, self.y, self.yaw = table(track.x), table(track.y), table(track.yaw)
+        self.curvature, self.width_left, self.width_right = (
+            table(track.curvature), table(track.width_left), table(track.width_right)
+        )
+        cells = min(round(REACH / self.spacing), (self.count - 1) // 2)
+        self._window = torch.arange(-cells, cells + 1, device=device)
+        self._middle = cells
+
+    def wrap(self, s: Tensor) -> Tensor:
+        """Return s in [0, length)."""
+        wrapped = torch.remainder(s, self.length)
+        return torch.where(wrapped >= self.length, torch.zeros_like(wrapped), wrapped)
+
+    def difference(self, s_to: Tensor, s_from: Tensor) -> Tensor:
+        """Return the signed shortest way from one s to another, in [−length/2, length/2)."""
+        return torch.remainder(s_to - s_from + self.length / 2, self.length) - self.length / 2
+
+    def lookup(self, table: Tensor, s: Tensor) -> Tensor:
+        """Interpolate a table linearly and periodically at s of any shape."""
+        position = self.wrap(s) / self.spacing
+        cell = position.floor()
+        share = position - cell
+        index = cell.long() % self.count
+        return torch.lerp(table[index], table[(index + 1) % self.count], share)
+
+    def half_width(self, s: Tensor) -> Tensor:
+        """Return half of the total width at s in m."""
+        return (self.lookup(self.width_left, s) + self.lookup(self.width_right, s)) / 2
+
+    def margin(self, s: Tensor, n: Tensor) -> Tensor:
+        """Return the distance to the nearer boundary in m; negative beyond it."""
+        return torch.minimum(self.lookup(self.width_left, s) - n, self.lookup(self.width_right, s) + n)
+
+    def position(self, s: Tensor, n: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return x, y and the centreline's yaw at (s, n), exact to the arc within a cell."""
+        index = (self.wrap(s) / self.spacing).round().long()
+        ds = self.wrap(s) - index * self.spacing
+        index = index % self.count
+        kappa, yaw = self.curvature[index], self.yaw[index]
+        turn = yaw + kappa * ds
+        chord = ds * (1 - (kappa * ds) ** 2 / 24)
+        x = self.x[index] + chord * torch.cos(yaw + kappa * ds / 2) - n * torch.sin(turn)
+        y = self.y[index] + chord * torch.sin(yaw + kappa * ds / 2) + n * torch.cos(turn)
+        return x, y, wrap_angle(turn)
+
+    def project(self, x: Tensor, y: Tensor, s_last: Tensor) -> Foot:
+        """Return the foot points of cars at x, y (N,) that were last at s_last (N,)."""
+        nearest = (self.wrap(s_last) / self.spacing).round().long()
+        window = (nearest[:, None] + self._window) % self.count
+        squared = (x[:, None] - self.x[window]) ** 2 + (y[:, None] - self.y[window]) ** 2
+        index = (nearest + self._downhill(squared)) % self.count
+        return self._foot_in_cell(x, y, index)
+
+    def project_anywhere(self, x: Tensor, y: Tensor) -> Foot:
+        """Return the foot points nearest on the whole track, for cars of unknown s."""
+        squared = (x[:, None] - self.x) ** 2 + (y[:, None] - self.y) ** 2
+        return self._foot_in_cell(x, y, squared.argmin(dim=1))
+
+    def _downhill(self, squared: Tensor) -> Tensor:
+        """Return the steps (N,) from the middle of each row to the bottom of its valley."""
+        m = self._middle
+        ways = torch.stack([squared[:, m:], squared[:, : m + 1].flip(1)])  # (2, N, m + 1), ahead and behind
+        passable = ways <= RIDGE * ways.cummin(dim=2).values
+        blocked = passable.logical_not().cumsum(dim=2) > 0
+        bottom = ways.masked_fill(blocked, torch.inf).min(dim=2)
+        ahead, behind = bottom.indices
+        return torch.where(bottom.values[0] <= bottom.values[1], ahead, -behind)
+
+    def _foot_in_cell(self, x: Tensor, y: Tensor, index: Tensor) -> Foot:
+        yaw, kappa = self.yaw[index], self.curvature[index]
+        dx, dy = x - self.x[index], y - self.y[index]
+        along = dx * torch.cos(yaw) + dy * torch.sin(yaw)
+        left = dy * torch.cos(yaw) - dx * torch.sin(yaw)
+        stretch = 1 - kappa * left
+        slope = along / torch.where(stretch.abs() < SMALLEST_STRETCH, SMALLEST_STRETCH, stretch)
+        ds = slope * (1 - (kappa * slope) ** 2 / 3)
+        # beyond the centre of curvature the arc's formula points the wrong way; the cell's own point is nearest
+        ds = torch.where(stretch > 0, ds.clamp(-self.spacing, self.spacing), torch.zeros_like(ds))
+        arc = (2 * left - kappa * (along**2 + left**2)) / (1 + torch.hypot(stretch, kappa * along))
+        # there n is the signed distance itself
+        distance = torch.hypot(dx, dy) * torch.sign(left)
+        n = torch.where(stretch > 0, arc, distance)
+        return Foot(self.wrap(index * self.spacing + ds), n, wrap_angle(yaw + kappa * ds))

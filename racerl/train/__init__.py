@@ -1,0 +1,1 @@
+"""Training a policy by proximal policy optimisation."""

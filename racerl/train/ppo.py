@@ -1,0 +1,193 @@
+"""Proximal policy optimisation on the batched race: Stable-Baselines3's PPO with rollout and update on tensors.
+
+Policy, optimizer, schedules, callbacks and logger are Stable-Baselines3's. Overridden are collecting rollouts (no
+per-car Python) and the update (no synchronisation per minibatch), with an optional learning rate that follows the
+KL divergence of the updates.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from stable_baselines3 import PPO
+from stable_baselines3.common.buffers import RolloutBuffer
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.vec_env import VecEnv
+from torch import Tensor, nn
+
+from racerl.env.adapters.sb3 import RaceVecEnv
+from racerl.env.race import Race
+from racerl.errors import ConfigError
+from racerl.train.rollout import Minibatch, Rollout
+
+KL_STEP = 1.5  # factor by which the learning rate follows the KL divergence
+
+
+@dataclass(frozen=True)
+class Budget:
+    """How long and how to train: `conf/budget/*.yaml`."""
+
+    steps: int  # control steps of all cars together
+    cars: int
+    rollout: int  # control steps of each car per update
+    batch: int
+    epochs: int
+    learning_rate: float
+    final_learning_rate: float
+    gamma: float = 0.99
+    gae_lambda: float = 0.95
+    clip: float = 0.2
+    entropy: float = 0.0
+    value: float = 0.5
+    gradient_norm: float = 0.5
+    initial_std: float = 1.0  # of the action noise
+    target_kl: float | None = None  # the learning rate follows it; None keeps the linear schedule
+    actor: tuple[int, ...] = (256, 256)
+    critic: tuple[int, ...] = (512, 512)
+    evaluations: int = 20  # evenly over the training
+
+    def __post_init__(self) -> None:
+        for name in ("steps", "cars", "rollout", "batch", "epochs", "evaluations"):
+            if getattr(self, name) < 1 or int(getattr(self, name)) != getattr(self, name):
+                raise ConfigError(f"budget.{name} = {getattr(self, name)}: allowed is a whole number, at least 1")
+        for name in ("learning_rate", "final_learning_rate", "clip", "gradient_norm", "initial_std"):
+            if not 0 < getattr(self, name):
+                raise ConfigError(f"budget.{name} = {getattr(self, name)}: allowed is more than 0")
+        for name in ("gamma", "gae_lambda"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ConfigError(f"budget.{name} = {getattr(self, name)}: allowed is 0 … 1")
+
+
+class RacePPO(PPO):
+    """PPO whose rollouts stay tensors from the simulator to the update."""
+
+    def __init__(self, race: Race, budget: Budget, seed: int) -> None:
+        self.race = race
+        self.budget = budget
+        self.shuffle = torch.Generator().manual_seed(seed)
+        first, last = budget.learning_rate, budget.final_learning_rate
+        super().__init__(
+            "MlpPolicy",
+            RaceVecEnv(race),
+            learning_rate=lambda remaining: last + (first - last) * remaining,
+            n_steps=budget.rollout,
+            batch_size=budget.batch,
+            n_epochs=budget.epochs,
+            gamma=budget.gamma,
+            gae_lambda=budget.gae_lambda,
+            clip_range=budget.clip,
+            ent_coef=budget.entropy,
+            vf_coef=budget.value,
+            max_grad_norm=budget.gradient_norm,
+            rollout_buffer_class=_NoBuffer,
+            policy_kwargs={
+                "net_arch": {"pi": list(budget.actor), "vf": list(budget.critic)},
+                "activation_fn": _LeakyReLU,
+                "log_std_init": float(torch.tensor(budget.initial_std).log()),
+            },
+            seed=seed,
+            device=race.device,
+        )
+        self.rollout = Rollout(budget.rollout, race.count, race.observe.size, 2, race.device)
+        self.rate_factor = 1.0  # of the scheduled learning rate, when it follows the KL divergence
+
+    def collect_rollouts(
+        self, env: VecEnv, callback: BaseCallback, rollout_buffer: RolloutBuffer, n_rollout_steps: int
+    ) -> bool:
+        """Drive all cars for one rollout with the current stochastic policy."""
+        callback.on_rollout_start()
+        self.policy.set_training_mode(False)
+        observation = self.race.observe(self.race)
+        rollout = self.rollout
+        with torch.no_grad():
+            for t in range(n_rollout_steps):
+                action, value, log_prob = self.policy(observation)
+                step = self.race.step(action)
+                rollout.observations[t], rollout.actions[t] = observation, action
+                rollout.values[t], rollout.log_probs[t] = value.flatten(), log_prob
+                rollout.rewards[t] = step.reward + self._time_out_value(step.truncated, step.final_observation)
+                rollout.continues[t] = 1.0 - (step.terminated | step.truncated).float()
+                observation = step.observation
+                self.num_timesteps += self.race.count
+                if not callback.on_step():
+                    return False
+            rollout.estimate(self.policy.predict_values(observation).flatten(), self.gamma, self.gae_lambda)
+        callback.on_rollout_end()
+        return True
+
+    def _time_out_value(self, truncated: Tensor, final: Tensor) -> Tensor:
+        """Return γ·V of the final observation where an episode was cut off, else 0; shape (N,)."""
+        if not bool(truncated.any()):
+            return torch.zeros_like(truncated, dtype=final.dtype)
+        return self.gamma * self.policy.predict_values(final).flatten() * truncated
+
+    def train(self) -> None:
+        """Update actor and critic from the rollout."""
+        self.policy.set_training_mode(True)
+        self._update_learning_rate(self.policy.optimizer)
+        scheduled = self.policy.optimizer.param_groups[0]["lr"]
+        sums: dict[str, Tensor] = {}
+        count = 0
+        for _ in range(self.n_epochs):
+            for batch in self.rollout.minibatches(self.batch_size, self.shuffle):
+                self.policy.optimizer.param_groups[0]["lr"] = scheduled * self.rate_factor
+                measures = self._update(batch)
+                count += 1
+                for name, value in measures.items():
+                    sums[name] = sums.get(name, torch.zeros_like(value)) + value
+            self._follow_divergence(float(measures["approx_kl"]))
+        self._n_updates += self.n_epochs
+        for name, value in sums.items():
+            self.logger.record(f"train/{name}", float(value) / count)
+        residual = (self.rollout.returns - self.rollout.values).var()
+        self.logger.record("train/explained_variance", 1.0 - float(residual / self.rollout.returns.var()))
+        self.logger.record("train/std", float(self.policy.log_std.detach().exp().mean()))
+        self.logger.record("train/learning_rate", scheduled * self.rate_factor)
+        self.logger.record("train/reward", float(self.rollout.rewards.mean()))
+
+    def _update(self, batch: Minibatch) -> dict[str, Tensor]:
+        """Take one gradient step; return its measures as tensors, so that nothing waits for them."""
+        values, log_prob, entropy = self.policy.evaluate_actions(batch.observations, batch.actions)
+        advantages = (batch.advantages - batch.advantages.mean()) / (batch.advantages.std() + 1e-8)
+        log_ratio = log_prob - batch.log_probs
+        ratio = log_ratio.exp()
+        clip = self.budget.clip
+        policy_loss = -torch.minimum(advantages * ratio, advantages * ratio.clamp(1 - clip, 1 + clip)).mean()
+        value_loss = nn.functional.mse_loss(values.flatten(), batch.returns)
+        loss = policy_loss + self.vf_coef * value_loss - self.ent_coef * entropy.mean()
+        self.policy.optimizer.zero_grad()
+        loss.backward()
+        nn.utils.clip_grad_norm_(self.policy.parameters(), self.max_grad_norm)
+        self.policy.optimizer.step()
+        with torch.no_grad():
+            return {
+                "policy_loss": policy_loss.detach(),
+                "value_loss": value_loss.detach(),
+                "approx_kl": (ratio - 1 - log_ratio).mean(),
+                "clip_fraction": ((ratio - 1).abs() > clip).float().mean(),
+            }
+
+    def _follow_divergence(self, divergence: float) -> None:
+        """Lower the learning rate after steps that went too far, raise it after timid ones."""
+        target = self.budget.target_kl
+        if target is None:
+            return
+        if divergence > 2.0 * target:
+            self.rate_factor /= KL_STEP
+        elif divergence < 0.5 * target:
+            self.rate_factor *= KL_STEP
+        self.rate_factor = min(max(self.rate_factor, 0.02), 1.0)
+
+
+class _LeakyReLU(nn.LeakyReLU):
+    """LeakyReLU(0.2), as a class that Stable-Baselines3 can call without arguments."""
+
+    def __init__(self) -> None:
+        super().__init__(0.2)
+
+
+class _NoBuffer(RolloutBuffer):
+    """Stands in for the numpy buffer that Stable-Baselines3 would allocate."""
+
+    def __init__(self, buffer_size: int, *args: Any, **kwargs: Any) -> None:
+        super().__init__(1, *args, **kwargs)

@@ -1,0 +1,59 @@
+"""A rollout as preallocated tensors (T, N, …), with generalised advantage estimation."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+
+class Minibatch(NamedTuple):
+    """Samples for one gradient step, each (B, …)."""
+
+    observations: Tensor
+    actions: Tensor
+    log_probs: Tensor
+    values: Tensor
+    advantages: Tensor
+    returns: Tensor
+
+
+class Rollout:
+    """T steps of N cars."""
+
+    def __init__(self, steps: int, cars: int, observation_size: int, action_size: int, device: torch.device) -> None:
+        def table(*shape: int) -> Tensor:
+            return torch.zeros(steps, cars, *shape, device=device)
+
+        self.steps, self.cars = steps, cars
+        self.observations, self.actions = table(observation_size), table(action_size)
+        self.rewards, self.values, self.log_probs, self.continues = table(), table(), table(), table()
+        self.advantages, self.returns = table(), table()
+
+    def estimate(self, last_value: Tensor, gamma: float, gae_lambda: float) -> None:
+        """Fill advantages and returns, given the value (N,) after the last step.
+
+        A_t = δ_t + γλ c_t A_{t+1},  δ_t = r_t + γ c_t V_{t+1} − V_t,  c_t = 0 where an episode ended, else 1.
+        Time-outs have γ·V of their final observation added to r_t beforehand.
+        """
+        advantage = torch.zeros_like(last_value)
+        following = last_value
+        for t in reversed(range(self.steps)):
+            delta = self.rewards[t] + gamma * self.continues[t] * following - self.values[t]
+            advantage = delta + gamma * gae_lambda * self.continues[t] * advantage
+            self.advantages[t] = advantage
+            following = self.values[t]
+        self.returns = self.advantages + self.values
+
+    def minibatches(self, size: int, generator: torch.Generator) -> Iterator[Minibatch]:
+        """Yield all samples once, in random order, in minibatches; a smaller remainder is left out."""
+        tables = (
+            self.observations, self.actions, self.log_probs, self.values, self.advantages, self.returns,
+        )
+        flat = [table.flatten(0, 1) for table in tables]
+        total = self.steps * self.cars
+        order = torch.randperm(total, generator=generator, device=generator.device).to(self.rewards.device)
+        size = min(size, total)
+        for first in range(0, total - size + 1, size):
+            chosen = order[first : first + size]
+            yield Minibatch(*(table[chosen] for table in flat))

@@ -1,0 +1,1 @@
+"""The car as equations, executed by torch and CasADi alike."""

@@ -1,0 +1,70 @@
+"""Vehicles from plain settings: what a `conf/vehicle/*.yaml` or a `model.yaml` says becomes a `Vehicle`."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from racerl import registry
+from racerl.documents import read_yaml
+from racerl.errors import VehicleError, suggest
+from racerl.vehicle import effects as effects_package
+from racerl.vehicle.actuator import FirstOrder, MotorCurrent
+from racerl.vehicle.effects import Effect
+from racerl.vehicle.parameter import build, check_value
+from racerl.vehicle.tyre import MagicFormula
+from racerl.vehicle.vehicle import Vehicle
+
+DRIVES = {"wheel_speed": FirstOrder, "motor_current": MotorCurrent}
+COMPONENTS = {"front": MagicFormula, "rear": MagicFormula, "steering": FirstOrder, **DRIVES}
+
+
+def load_vehicle(settings: Mapping[str, Any], drive: str = "wheel_speed", actuators: bool = True) -> Vehicle:
+    """Build a vehicle from settings, or from the file that `settings["file"]` names.
+
+    `drive` is wheel_speed or motor_current; without `actuators` commands act at once. Raises VehicleError.
+    """
+    if "file" in settings:
+        settings = {**read_yaml(Path(settings["file"])), **{k: v for k, v in settings.items() if k != "file"}}
+    if drive not in DRIVES:
+        raise VehicleError(f"unknown drive mode '{drive}'{suggest(drive, DRIVES)}")
+    parts = {}
+    for name, cls in COMPONENTS.items():
+        if name not in settings:
+            raise VehicleError(f"vehicle: section '{name}' is missing; copy it from conf/vehicle/f1tenth.yaml")
+        parts[name] = build(cls, settings[name], f"vehicle.{name}")
+    body = {key: value for key, value in settings.items() if key not in COMPONENTS and key != "effects"}
+    vehicle = Vehicle(
+        **_check_body(body),
+        front=parts["front"],
+        rear=parts["rear"],
+        steering=parts["steering"],
+        drive=parts[drive],
+        effects=_load_effects(settings.get("effects") or {}),
+    )
+    if vehicle.l_f >= vehicle.wheelbase:
+        raise VehicleError(f"vehicle.l_f = {vehicle.l_f:g} m: allowed is less than the wheelbase {vehicle.wheelbase:g}")
+    return vehicle if actuators else vehicle.without_actuators()
+
+
+def _check_body(settings: Mapping[str, Any]) -> dict[str, float]:
+    known = {
+        name: field.metadata["parameter"]
+        for name, field in Vehicle.__dataclass_fields__.items()
+        if "parameter" in field.metadata
+    }
+    for key in settings:
+        if key not in known:
+            raise VehicleError(f"vehicle has no parameter '{key}'{suggest(key, {*known, *COMPONENTS, 'effects'})}")
+    for key in ("mass", "yaw_inertia", "wheelbase", "l_f"):
+        if key not in settings:
+            raise VehicleError(f"vehicle.{key} is missing; give it in {known[key].unit}")
+    return {key: check_value(f"vehicle.{key}", known[key], value) for key, value in settings.items()}
+
+
+def _load_effects(settings: Mapping[str, Any]) -> dict[str, Effect]:
+    return {
+        name: build(registry.lookup(effects_package, name), parameters or {}, f"vehicle.effects.{name}")
+        for name, parameters in settings.items()
+    }
+
+
