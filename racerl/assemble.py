@@ -67,7 +67,7 @@ def build_race(
     return Race(
         vehicle=build_vehicle(settings),
         track=build_track(settings),
-        observe=create_observation(settings["obs"]),
+        observation=create_observation(settings["obs"]),
         action=action,
         count=cars,
         seeds=seeds,

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 app = typer.Typer(
     name="racerl",
     help="Learn racing policies for small cars that work on the real car.",
-    no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -58,11 +57,14 @@ def _version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
+@app.callback(invoke_without_command=True)
 def options(
+    context: typer.Context,
     version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")] = False,
 ) -> None:
     """Learn racing policies for small cars that work on the real car."""
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
 
 
 @app.command(context_settings=HYDRA)
@@ -100,15 +102,12 @@ def _run(
 ) -> None:
     from racerl.config import run_command
 
-    def tidy(settings: "Settings", out: Path) -> None:
-        logging.basicConfig(format="%(levelname)s %(message)s", level=logging.WARNING, force=True)
-        try:
-            task(settings, out)
-        finally:
-            if out.is_dir() and not any(out.iterdir()):
-                out.rmdir()
+    def logged(settings: "Settings", out: Path) -> None:
+        # Hydra has set up logging of its own before the job
+        logging.basicConfig(format="%(levelname)s: %(message)s", level=logging.WARNING, force=True)
+        task(settings, out)
 
-    run_command(command, arguments or [], tidy, positional)
+    run_command(command, arguments or [], logged, positional)
 
 
 def _train(settings: "Settings", out: Path) -> None:
@@ -116,9 +115,13 @@ def _train(settings: "Settings", out: Path) -> None:
     from racerl.train.train import Progress, train
 
     console = _console()
-    console.print(f"training into {out}", highlight=False, soft_wrap=True)
+    announced = False
 
     def show(progress: Progress) -> None:
+        nonlocal announced
+        if not announced:
+            announced = True
+            console.print(f"training into {out}", highlight=False, soft_wrap=True)
         left = (progress.total_steps - progress.steps) / progress.steps_per_s if progress.steps_per_s else None
         bar.show(min(1.0, progress.steps / progress.total_steps), training_remark(progress), left)
 
@@ -182,12 +185,17 @@ def _console() -> Any:
 def main() -> None:
     """Run the command line; a user's mistake ends with one line and exit code 2."""
     try:
-        app()
-    except RacerlError as error:
-        sys.stderr.write(f"racerl: {' '.join(str(error).split())}\n")
-        raise SystemExit(2) from None
-    except KeyboardInterrupt:
+        code = app(standalone_mode=False)
+    except (KeyboardInterrupt, typer.Abort):
         raise SystemExit(130) from None
+    except Exception as error:
+        # Typer's own complaints are not exported as one class; all of them can format themselves
+        complaint = error.format_message() if hasattr(error, "format_message") else None
+        if complaint is None and not isinstance(error, RacerlError):
+            raise
+        sys.stderr.write(f"racerl: {' '.join((complaint or str(error)).split())}\n")
+        raise SystemExit(2) from None
+    raise SystemExit(code if isinstance(code, int) else 0)
 
 
 if __name__ == "__main__":

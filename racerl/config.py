@@ -22,8 +22,9 @@ from hydra.plugins.search_path_plugin import SearchPathPlugin
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from racerl.assemble import conf_folder
+from racerl.assemble import build_race, conf_folder
 from racerl.documents import read_yaml, require_finite
+from racerl.env.adapters.gymnasium import RaceEnv, RaceVectorEnv
 from racerl.errors import ConfigError, DocumentError, suggest
 
 VERSION_BASE = "1.3"
@@ -57,12 +58,16 @@ def run_command(
     failures: list[Exception] = []
 
     def job(config: DictConfig) -> None:
+        out = _shortest(Path(HydraConfig.get().runtime.output_dir))
         try:
             settings = _plain(config)
             _check_keys(command, settings)
-            task(settings, Path(HydraConfig.get().runtime.output_dir))
+            task(settings, out)
         except Exception as error:  # raised below: Hydra would print its own lines about it
             failures.append(error)
+        finally:
+            if out.is_dir() and not any(out.iterdir()):
+                out.rmdir()
 
     _register()
     os.environ["HYDRA_FULL_ERROR"] = "1"  # let exceptions through to us
@@ -75,8 +80,13 @@ def run_command(
         raise failures[0]
 
 
+def _shortest(path: Path) -> Path:
+    """Return the path relative to the working directory when it lies inside."""
+    return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
+
+
 def compose_settings(command: str, overrides: Sequence[str] = ()) -> Settings:
-    """Return the composed settings of a command, for use from Python; `out` is left unresolved."""
+    """Return the composed settings of a command, for use from Python."""
     _register()
     try:
         settings = _plain(_compose(command, _rewrite(command, list(overrides), None)))
@@ -84,6 +94,16 @@ def compose_settings(command: str, overrides: Sequence[str] = ()) -> Settings:
         raise _translate(command, error) from error
     _check_keys(command, settings)
     return settings
+
+
+def make_env(overrides: Sequence[str] = (), seed: int = 0) -> RaceEnv:
+    """Return one car as a Gymnasium environment, with the overrides of `racerl train`."""
+    return RaceEnv(build_race(compose_settings("train", overrides), cars=1, seeds=[seed]))
+
+
+def make_vector_env(num_envs: int = 1, overrides: Sequence[str] = (), seed: int = 0) -> RaceVectorEnv:
+    """Return a batch of cars as a Gymnasium vector environment, with the overrides of `racerl train`."""
+    return RaceVectorEnv(build_race(compose_settings("train", overrides), cars=num_envs, seeds=[seed]))
 
 
 def _compose(command: str, overrides: list[str]) -> DictConfig:

@@ -34,7 +34,7 @@ class PolicyError(RacerlError):
 
 def suggest(value: str, choices: Iterable[str], most: int = 3) -> str:
     """Return "; did you mean …?" with the nearest choices, or all choices when none is near."""
-    known = sorted(choices)
+    known = sorted(set(choices))
     near = difflib.get_close_matches(value, known, n=most, cutoff=0.6)
     if near:
         return f"; did you mean {' or '.join(near)}?"

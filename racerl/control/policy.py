@@ -52,7 +52,7 @@ class Policy:
 
     def act(self, race: "Race") -> Tensor:
         """Return the actions for the cars of a race."""
-        return self(race.observe(race))
+        return self(race.observe())
 
     @property
     def sizes(self) -> list[int]:

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from racerl.env.actions import Action
 from racerl.env.dice import Dice
-from racerl.env.observations import Observation
+from racerl.env.observations import OBSERVATION_LIMIT, Observation
 from racerl.env.randomize import ParameterDraws, Randomization
 from racerl.env.reward import progress_reward
 from racerl.env.termination import STOP_SPEED, OffTrack, Termination
@@ -84,7 +84,7 @@ class Race:
 
     vehicle: Vehicle
     track: Track
-    observe: Observation
+    observation: Observation
     action: Action
     count: int
     seeds: Sequence[int]  # one for all cars, or one for each
@@ -123,10 +123,14 @@ class Race:
     delta = property(lambda self: self.state[DELTA])
     omega = property(lambda self: self.state[OMEGA])
 
+    def observe(self) -> Tensor:
+        """Return the observation (N, O), inside ± OBSERVATION_LIMIT."""
+        return self.observation(self).clamp(-OBSERVATION_LIMIT, OBSERVATION_LIMIT)
+
     def reset(self) -> Tensor:
         """Start all cars over; return the observation (N, O)."""
         self._restart(torch.ones(self.count, device=self.device, dtype=torch.bool))
-        return self.observe(self)
+        return self.observe()
 
     def reseed(self, seeds: Sequence[int]) -> None:
         """Use new seeds from the next restart on."""
@@ -140,11 +144,11 @@ class Race:
         ended = self.termination(self) & ~faulty
         truncated = (self.age >= self.timing.max_steps) & ~ended & ~faulty
         reward = progress_reward(progress, ended, faulty)
-        final, command, margin = self.observe(self), self.command, self.margin
+        final, command, margin = self.observe(), self.command, self.margin
         over = ended | truncated | faulty
         if bool(over.any()):
             self._restart(over)
-            observation = self.observe(self)
+            observation = self.observe()
         else:
             observation = final
         return Step(observation, reward, ended | faulty, truncated, final, progress, command, margin, faulty)

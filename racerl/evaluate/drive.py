@@ -62,7 +62,7 @@ def drive(
     timer = LapTimer(race.track.length, race.timing.dt, race.travelled.cpu().numpy())
     limit = round((laps + 1) * race.track.length / SLOWEST / race.timing.dt)
     for _ in range(limit):
-        row = recorder.before() if recorder else None
+        row = {**recorder.before(), "lap": timer.current()} if recorder else None
         before = race.travelled.cpu().numpy()
         step = race.step(controller.act(race))
         crashed = step.terminated.cpu().numpy()

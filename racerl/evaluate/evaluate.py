@@ -42,9 +42,9 @@ def evaluate(
     device = choose_device(settings["device"])
     policy = load_policy(trained.path, device)
     race = build_evaluation_race(race_settings, seeds, device)
-    if race.observe.size != policy.sizes[0]:
+    if race.observation.size != policy.sizes[0]:
         raise PolicyError(
-            f"{trained.path}: the policy reads {policy.sizes[0]} numbers, the observation has {race.observe.size}"
+            f"{trained.path}: the policy reads {policy.sizes[0]} numbers, the observation has {race.observation.size}"
         )
 
     folder = RunFolder.start(out, "evaluate", settings, seed=seeds, threads=settings["threads"], device=str(device))

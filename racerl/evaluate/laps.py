@@ -21,7 +21,6 @@ class Lap:
 
     car: int
     number: int  # of the car's laps, from 1
-    start_s: float | None  # when it began, seconds since the car was first started; None on the way to the line
     time_s: float | None  # None after a crash
     e_off: float  # m s
     max_off_track_m: float
@@ -77,12 +76,17 @@ class LapTimer:
         self.laps[car].append(Lap(
             car=int(car),
             number=len(self.laps[car]) + 1,
-            start_s=start,
             time_s=None if end is None or start is None else end - start,
             e_off=float(self._e_off[car]),
             max_off_track_m=float(self._furthest[car]),
             crashed=end is None,
         ))
+
+    def current(self) -> NDArray[np.int_]:
+        """Return the number of the flying lap that each car is on, 0 on the way to the line; shape (N,)."""
+        return np.array([
+            0 if start is None else len(laps) + 1 for start, laps in zip(self._start, self.laps, strict=True)
+        ])
 
     def fewest(self) -> int:
         """Return the smallest number of laps that any car has driven."""

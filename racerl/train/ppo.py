@@ -88,7 +88,7 @@ class RacePPO(PPO):
             seed=seed,
             device=race.device,
         )
-        self.rollout = Rollout(budget.rollout, race.count, race.observe.size, 2, race.device)
+        self.rollout = Rollout(budget.rollout, race.count, race.observation.size, 2, race.device)
         self.rate_factor = 1.0  # of the scheduled learning rate, when it follows the KL divergence
 
     def collect_rollouts(
@@ -97,7 +97,7 @@ class RacePPO(PPO):
         """Drive all cars for one rollout with the current stochastic policy."""
         callback.on_rollout_start()
         self.policy.set_training_mode(False)
-        observation = self.race.observe(self.race)
+        observation = self.race.observe()
         rollout = self.rollout
         with torch.no_grad():
             for t in range(n_rollout_steps):

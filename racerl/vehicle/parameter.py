@@ -82,7 +82,7 @@ def _replace_items(items: Mapping[str, Any], changes: Mapping[str, Scalar]) -> d
 def check_value(name: str, specification: Parameter, value: Any) -> float:
     """Return the value as a float; raise VehicleError when it is no number or outside its bounds."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise VehicleError(f"{name}: {value!r} is not a number; give a value in {specification.unit or '1'}")
+        raise VehicleError(f"{name}: {value!r} is not a number ({specification.meaning}, {specification.unit or 'no unit'})")
     if not specification.low <= value <= specification.high:
         allowed = f"{specification.low:g} … {specification.high:g} {specification.unit}".rstrip()
         raise VehicleError(f"{name} = {value:g}: allowed is {allowed} ({specification.meaning})")

@@ -5,20 +5,10 @@ from typing import Any
 
 import numpy as np
 import torch
-from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv
 
+from racerl.env.adapters.spaces import action_space, observation_space
 from racerl.env.race import Race
-
-
-def observation_space(race: Race) -> spaces.Box:
-    """Return the unbounded box of one car's observation."""
-    return spaces.Box(-np.inf, np.inf, (race.observe.size,), np.float32)
-
-
-def action_space() -> spaces.Box:
-    """Return [−1, 1]²."""
-    return spaces.Box(-1.0, 1.0, (2,), np.float32)
 
 
 class RaceVecEnv(VecEnv):

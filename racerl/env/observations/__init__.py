@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 SPEED_MAX = 6.0  # m/s
 YAW_RATE_MAX = 4.0  # rad/s
 HEADING_MAX = torch.pi  # rad
+OBSERVATION_LIMIT = 10.0  # of any normalised number; only a car that tumbles comes near
 
 
 class Observation(Protocol):

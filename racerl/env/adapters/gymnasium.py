@@ -1,0 +1,69 @@
+"""The race as Gymnasium environments: one car, or a batch that starts over within the step."""
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from racerl.env.adapters.spaces import action_space, observation_space
+from racerl.env.race import Race
+
+
+class RaceEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+    """One car; the race must hold a single one."""
+
+    metadata = {"render_modes": []}  # noqa: RUF012 (Gymnasium's own interface)
+
+    def __init__(self, race: Race) -> None:
+        self.race = race
+        self.observation_space, self.action_space = observation_space(race), action_space()
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
+        """Start over at a random place; a seed makes it a certain one."""
+        super().reset(seed=seed)
+        if seed is not None:
+            self.race.reseed([seed])
+        return self.race.reset()[0].cpu().numpy(), {}
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """Drive one control step with an action (2,) in [−1, 1]."""
+        step = self.race.step(torch.as_tensor(np.asarray(action), device=self.race.device)[None])
+        observation = step.final_observation[0].cpu().numpy()
+        info = {"progress": float(step.progress[0]), "margin": float(step.margin[0])}
+        return observation, float(step.reward[0]), bool(step.terminated[0]), bool(step.truncated[0]), info
+
+
+class RaceVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
+    """N cars; `infos["final_obs"]` holds the last observation of those that started over."""
+
+    metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012
+
+    def __init__(self, race: Race) -> None:
+        self.race = race
+        self.num_envs = race.count
+        self.single_observation_space, self.single_action_space = observation_space(race), action_space()
+        self.observation_space = batch_space(self.single_observation_space, race.count)
+        self.action_space = batch_space(self.single_action_space, race.count)
+
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Start all cars over; one seed for all, or a list with one for each."""
+        if seed is not None:
+            self.race.reseed([seed] if isinstance(seed, int) else [int(s or 0) for s in seed])
+        return self.race.reset().cpu().numpy(), {}
+
+    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Drive one control step with actions (N, 2) in [−1, 1]."""
+        step = self.race.step(torch.as_tensor(np.asarray(actions), device=self.race.device))
+        over = (step.terminated | step.truncated).cpu().numpy()
+        infos: dict[str, Any] = {"progress": step.progress.cpu().numpy(), "margin": step.margin.cpu().numpy()}
+        if over.any():
+            infos |= {"final_obs": step.final_observation.cpu().numpy(), "_final_obs": over}
+        return (
+            step.observation.cpu().numpy(), step.reward.cpu().numpy(), step.terminated.cpu().numpy(),
+            step.truncated.cpu().numpy(), infos,
+        )

@@ -1,0 +1,1 @@
+"""The report: one page about finished runs, drawn from their files alone."""

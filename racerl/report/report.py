@@ -1,0 +1,113 @@
+"""The report stage: one self-contained HTML page about finished runs, and its figures as SVG files."""
+
+import base64
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jinja2
+
+from racerl.documents import write_text
+from racerl.report import paper_values
+from racerl.report.figures import channels, lap_times, learning_curve, racing_line
+from racerl.report.subjects import Subject, find_subjects
+from racerl.run import RunFolder
+
+PAGE = "report.html"
+FIGURES = (
+    ("racing_line", racing_line.draw, "Racing line", "Fastest lap over the track, coloured by speed."),
+    ("channels", channels.draw, "Speed, steering and offset", "Fastest lap over the track coordinate; n is positive to "
+     "the left, the black lines are the boundaries."),
+    ("lap_times", lap_times.draw, "Lap times", "Every finished lap; the box spans the quartiles."),
+    ("learning_curve", learning_curve.draw, "Learning", "Reward per control step of the noisy training policy, and laps "
+     "of the noise-free policy in cars of the training's randomization."),
+)
+
+
+def report(settings: Mapping[str, Any], out: Path, outputs: Path = Path("outputs")) -> Path:
+    """Write the page about `settings["runs"]`, or about all finished runs under `outputs`; return its path."""
+    runs = [settings["runs"]] if isinstance(settings["runs"], str) else list(settings["runs"])
+    subjects = find_subjects([Path(run) for run in runs], outputs)
+    folder = RunFolder.start(out, "report", settings)
+    figures = []
+    for name, draw, title, caption in FIGURES:
+        svg = draw(subjects)
+        if svg is not None:
+            write_text(folder.path / f"{name}.svg", svg)
+            figures.append({"title": title, "caption": caption, "data": base64.b64encode(svg.encode()).decode()})
+    environment = jinja2.Environment(loader=jinja2.PackageLoader("racerl.report", "."), autoescape=True, trim_blocks=True)
+    page = environment.get_template("page.html.j2").render(
+        rows=[*map(_row, subjects), *_paper_rows()],
+        figures=figures,
+        remarks=_remarks(subjects),
+        provenance=[run for subject in subjects for run in _provenance(subject)],
+    )
+    write_text(folder.path / PAGE, page)
+    folder.finish()
+    return folder.path / PAGE
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "–" if value is None else f"{value:.{digits}f}"
+
+
+def _row(subject: Subject) -> dict[str, Any]:
+    if subject.evaluation is None:
+        blank = dict.fromkeys(("car", "fastest", "mean", "interval", "std", "e_off", "crashes", "valid"), "–")
+        return {"driver": subject.name, **blank}
+    m = subject.evaluation.metrics
+    interval = m.get("mean_lap_ci95")
+    return {
+        "driver": subject.label,
+        "car": m["car"],
+        "fastest": _number(m["fastest_valid_lap_s"], 3),
+        "mean": _number(m["mean_lap_s"], 3),
+        "interval": f"{interval[0]:.3f} … {interval[1]:.3f}" if interval else "–",
+        "std": _number(m["std_lap_s"], 3),
+        "e_off": _number(m["e_off"], 5),
+        "crashes": f"{m['crash_share']:.0%}",
+        "valid": f"{m['valid_laps']} of {m['laps']}",
+    }
+
+
+def _paper_rows() -> list[dict[str, Any]]:
+    return [
+        {
+            "paper": True,
+            "driver": paper_values.NAMES[row["name"]],
+            "car": "real",
+            "fastest": _number(row["fastest_valid_lap_s"], 3),
+            "mean": _number(row["mean_lap_s"], 3),
+            "interval": "–",
+            "std": _number(row["std_lap_s"], 2),
+            "e_off": _number(row["e_off"], 5),
+            "crashes": "–",
+            "valid": "of 20",
+        }
+        for row in paper_values.table_1().to_dict("records")
+    ]
+
+
+def _remarks(subjects: Sequence[Subject]) -> list[str]:
+    remarks = [
+        f"{subject.name} has not been raced: racerl evaluate RUN" for subject in subjects if subject.evaluation is None
+    ]
+    for subject in subjects:
+        for stage, facts in (("training", subject.training), ("evaluation", subject.evaluation and subject.evaluation.manifest)):
+            if facts and facts.get("nan_cars"):
+                remarks.append(f"{subject.name}: the simulation failed (NaN) {facts['nan_cars']} times in {stage}")
+    return remarks
+
+
+def _provenance(subject: Subject) -> list[dict[str, Any]]:
+    manifests = [subject.training, subject.evaluation.manifest if subject.evaluation else None]
+    return [
+        {
+            "name": subject.name,
+            "torch": manifest.get("libraries", {}).get("torch", "–"),
+            "git_sha": (manifest.get("git_sha") or "–")[:18],
+            **{key: manifest.get(key, "–") for key in ("stage", "seed", "steps", "seconds", "threads", "device", "cpu")},
+        }
+        for manifest in manifests
+        if manifest
+    ]

@@ -1,0 +1,126 @@
+"""What a report is about: training runs with their newest evaluation, read from run folders."""
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from racerl.documents import MAX_TEXT_BYTES, read_json, read_text
+from racerl.errors import DocumentError, RunError
+from racerl.run import MANIFEST, RunFolder
+
+PROGRESS, METRICS, TRAJECTORIES, TRACK = "progress.jsonl", "metrics.json", "trajectories.parquet", "track.csv"
+NEEDED = ("s", "n", "x", "y", "v_x", "delta", "lap", "seed", "t")
+MAX_DEPTH = 3  # folders below outputs/<stage>
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """One evaluate run."""
+
+    path: Path
+    manifest: dict[str, Any]
+    metrics: dict[str, Any]
+    drive: pd.DataFrame
+    track: pd.DataFrame
+
+    def fastest_lap(self) -> pd.DataFrame:
+        """Return the rows of the fastest lap, a valid one if there is any; empty when no lap was finished."""
+        timed = [row for row in self.metrics["rows"] if row["time_s"] is not None]
+        if not timed:
+            return self.drive.iloc[:0]
+        best = min(timed, key=lambda row: (not row["valid"], row["time_s"]))
+        return self.drive[(self.drive["seed"] == best["seed"]) & (self.drive["lap"] == best["number"])]
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A policy: how it was trained and how it raced; either may be missing."""
+
+    name: str
+    training: dict[str, Any] | None  # the manifest
+    progress: pd.DataFrame | None
+    evaluation: Evaluation | None
+
+    @property
+    def label(self) -> str:
+        """The evaluation's description of the policy, or the run's name."""
+        return str(self.evaluation.metrics["label"]) if self.evaluation else self.name
+
+
+def find_subjects(paths: list[Path], outputs: Path) -> list[Subject]:
+    """Return the subjects of the runs given, or of all complete runs under `outputs`; raise RunError when none."""
+    given = [RunFolder.open_complete(path) for path in paths]
+    training = {run.manifest["run_id"]: run for run in given if run.manifest["stage"] == "train"}
+    chosen = [run for run in given if run.manifest["stage"] == "evaluate"]
+    around = _complete_runs(outputs)
+    if not given:
+        training = {run.manifest["run_id"]: run for run in around if run.manifest["stage"] == "train"}
+    newest = {
+        run.manifest.get("train_run_id"): run
+        for run in sorted(around, key=lambda run: str(run.manifest.get("finished")))
+        if run.manifest["stage"] == "evaluate"
+    }
+    subjects = []
+    for run_id, run in training.items():
+        own = [folder for folder in chosen if folder.manifest.get("train_run_id") == run_id]
+        folders = own or ([newest[run_id]] if run_id in newest else [None])
+        subjects += [_subject(run, folder) for folder in folders]
+        chosen = [folder for folder in chosen if folder not in own]
+    if not given:
+        chosen = [run for run_id, run in newest.items() if run_id not in training]
+    by_id = {run.manifest["run_id"]: run for run in around if run.manifest["stage"] == "train"}
+    subjects += [_subject(by_id.get(folder.manifest.get("train_run_id")), folder) for folder in chosen]
+    if not subjects:
+        raise RunError(f"{outputs}: holds no finished run; train one with: racerl train +dr=friction_0.02")
+    return subjects
+
+
+def _complete_runs(outputs: Path) -> list[RunFolder]:
+    """Return the complete train and evaluate runs below a folder, oldest first; what is no run is passed over."""
+    found = []
+    for depth in range(1, MAX_DEPTH + 1):
+        for manifest in outputs.glob("/".join(["*"] * depth) + f"/{MANIFEST}"):
+            try:
+                found.append(RunFolder.open_complete(manifest.parent))
+            except RunError:
+                continue
+    return sorted(found, key=lambda run: (str(run.manifest.get("started")), str(run.path)))
+
+
+def _subject(training: RunFolder | None, evaluated: RunFolder | None) -> Subject:
+    evaluation = _read_evaluation(evaluated) if evaluated else None
+    progress = _read_progress(training.path / PROGRESS) if training else None
+    name = (training or evaluated).path.name  # type: ignore[union-attr]
+    return Subject(name, training.manifest if training else None, progress, evaluation)
+
+
+def _read_progress(path: Path) -> pd.DataFrame:
+    """Return the training log; of a step that a resumed run wrote twice, the last line counts."""
+    try:
+        lines = [json.loads(line) for line in read_text(path, 16 * MAX_TEXT_BYTES).splitlines() if line.strip()]
+        return pd.DataFrame(lines).drop_duplicates("steps", keep="last").sort_values("steps")
+    except (DocumentError, ValueError, KeyError) as error:
+        raise RunError(f"{path}: cannot be read ({error}); train again") from error
+
+
+def _read_evaluation(folder: RunFolder) -> Evaluation:
+    try:
+        metrics = read_json(folder.path / METRICS)
+        drive = pd.read_parquet(folder.path / TRAJECTORIES)
+        track = pd.read_csv(folder.path / TRACK)
+        rows = metrics["rows"]
+        sound = all(key in metrics for key in ("label", "e_off", "crash_share", "mean_lap_s")) and all(
+            isinstance(row, dict) and {"time_s", "valid", "seed", "number"} <= set(row) for row in rows
+        )
+    except (DocumentError, OSError, ValueError, KeyError, TypeError) as error:
+        raise RunError(f"{folder.path}: is damaged ({' '.join(str(error).split())}); evaluate again") from error
+    missing = [name for name in NEEDED if name not in drive]
+    if missing or not sound or "curvature_1_m" not in track:
+        raise RunError(f"{folder.path}: is damaged (fields {', '.join(missing) or 'of the metrics'} missing); evaluate again")
+    if not all(math.isfinite(value) for value in drive[list(NEEDED)].to_numpy().ravel()[:: max(1, len(drive) // 1000)]):
+        raise RunError(f"{folder.path}: holds NaN; evaluate again")
+    return Evaluation(folder.path, folder.manifest, metrics, drive, track)
