@@ -33,7 +33,7 @@ log = logging.getLogger(__name__)
 LANES = 16
 # fast-math lets the compiler take the vector versions of sin, atan, …; NaN still spreads through sums (a test holds it).
 # cos is written as a shifted sin: sin and cos of one angle would be fused to a complex exponential, which has none.
-FLAGS = ("-O3", "-march=native", "-ffast-math", "-fopenmp-simd", "-shared", "-fPIC")
+FLAGS = ("-O3", "-march=native", "-ffast-math", "-fopenmp-simd", "-fPIC")
 TOLERANCE = 1e-4  # of the check at start-up, relative to the size of each state
 BUILD_TIME_LIMIT = 120  # s
 
@@ -228,10 +228,14 @@ def _compile(compiler: str, code: str, library: Path) -> None:
     """Build beside the target and rename, so that many processes may do it at once."""
     library.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=library.parent) as folder:
-        path, built = Path(folder) / "kernel.c", Path(folder) / "kernel.so"
+        path, unit, built = (Path(folder) / f"kernel.{suffix}" for suffix in ("c", "o", "so"))
         path.write_text(code)
-        command = [compiler, *FLAGS, str(path), "-o", str(built), "-lm"]
-        subprocess.run(command, capture_output=True, check=True, timeout=BUILD_TIME_LIMIT)  # noqa: S603
+        # linked without -ffast-math, which would make the whole process flush subnormal numbers to zero
+        for command in (
+            [compiler, *FLAGS, "-c", str(path), "-o", str(unit)],
+            [compiler, "-shared", str(unit), "-o", str(built), "-lm"],
+        ):
+            subprocess.run(command, capture_output=True, check=True, timeout=BUILD_TIME_LIMIT)  # noqa: S603
         built.replace(library)
 
 

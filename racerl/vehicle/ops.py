@@ -47,7 +47,7 @@ class TorchOps:
     tanh = _unary(torch.tanh, math.tanh)
     exp = _unary(torch.exp, math.exp)
     abs = _unary(torch.abs, abs)
-    sign = _unary(torch.sign, lambda x: float((x > 0) - (x < 0)))
+    sign = _unary(torch.sign, lambda x: float(x > 0) - float(x < 0))
 
     @staticmethod
     def minimum(x: Scalar, y: Scalar) -> Scalar:

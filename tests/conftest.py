@@ -1,0 +1,45 @@
+"""Shared pieces: settings composed once, a smoke run trained once, single-threaded torch."""
+
+import os
+
+# one private kernel cache and no user configuration for the whole suite
+os.environ.setdefault("MPLBACKEND", "Agg")
+
+from pathlib import Path  # noqa: E402
+from typing import Any  # noqa: E402
+
+import pytest  # noqa: E402
+import torch  # noqa: E402
+
+from racerl.assemble import conf_folder  # noqa: E402
+from racerl.config import compose_settings  # noqa: E402
+from racerl.evaluate.evaluate import evaluate  # noqa: E402
+from racerl.train.train import train  # noqa: E402
+
+CONF = conf_folder()
+
+
+@pytest.fixture(autouse=True)
+def _one_thread() -> None:
+    torch.set_num_threads(1)
+
+
+@pytest.fixture(scope="session")
+def settings() -> dict[str, Any]:
+    return compose_settings("train", ["dr=friction_0.02"])
+
+
+@pytest.fixture(scope="session")
+def smoke_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished training run of a few seconds; tests must not change it."""
+    out = tmp_path_factory.mktemp("runs") / "outputs" / "train" / "smoke"
+    train(compose_settings("train", ["budget=smoke", "dr=friction_0.02", "threads=1"]), out)
+    return out
+
+
+@pytest.fixture(scope="session")
+def smoke_evaluation(smoke_run: Path) -> Path:
+    """An evaluation of the smoke run; tests must not change it."""
+    out = smoke_run.parent.parent / "evaluate" / "smoke"
+    evaluate(compose_settings("evaluate", [f"run='{smoke_run}'", "laps=2", "seeds=[0,1]"]), out)
+    return out

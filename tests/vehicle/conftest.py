@@ -1,0 +1,46 @@
+"""Cars of every kind, and random states for them."""
+
+from typing import Any
+
+import pytest
+import torch
+
+from racerl import registry
+from racerl.assemble import build_vehicle
+from racerl.config import compose_settings
+from racerl.vehicle import effects
+from racerl.vehicle.vehicle import Vehicle
+
+EFFECTS = registry.choices(effects)
+KINDS = ["sim=default", "sim=no_actuators", "sim=motor_current", *(f"+vehicle/effect={name}" for name in EFFECTS),
+         f"+vehicle/effect=[{','.join(EFFECTS)}]"]
+
+
+def make_car(*overrides: str) -> Vehicle:
+    return build_vehicle(compose_settings("train", overrides))
+
+
+@pytest.fixture(scope="session", params=KINDS)
+def any_car(request: pytest.FixtureRequest) -> Vehicle:
+    return make_car(request.param)
+
+
+@pytest.fixture(scope="session")
+def car() -> Vehicle:
+    return make_car()
+
+
+def random_states(car: Vehicle, count: int, seed: int = 0, slow: bool = False) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return states (S, N) and commands (2, N), from standstill to racing, in double precision."""
+    draw: Any = torch.Generator().manual_seed(seed)
+
+    def uniform(low: float, high: float) -> torch.Tensor:
+        return low + (high - low) * torch.rand(count, generator=draw, dtype=torch.float64)
+
+    rows = {name: uniform(-0.3, 0.3) for name in car.states}
+    fastest = 0.4 if slow else 6.0
+    rows |= {"yaw": uniform(-3, 3), "v_x": uniform(-fastest / 4, fastest), "v_y": uniform(-1, 1)}
+    rows |= {"yaw_rate": uniform(-4, 4), "delta": uniform(-0.5, 0.5)}
+    rows["omega"] = rows["v_x"] * uniform(0.5, 1.5) + uniform(-0.2, 0.2)
+    command = torch.stack([uniform(-0.5, 0.5), uniform(0.01, 7.0)])
+    return torch.stack([rows[name] for name in car.states]), command

@@ -1,0 +1,103 @@
+"""The compiled simulator against torch, and what happens without a compiler."""
+
+import dataclasses
+import logging
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import torch
+
+from racerl.vehicle import kernel
+from racerl.vehicle.kernel import CompiledMotion, TorchMotion, choose_motion
+from racerl.vehicle.parameter import values
+from tests.vehicle.conftest import make_car, random_states
+
+CPU = torch.device("cpu")
+needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler on this machine")
+NAMES = ["friction", "mass", "front.p_Ky1", "steering.time_constant"]
+
+
+def tables(car, names, count, seed=0):
+    generator = torch.Generator().manual_seed(seed)
+    nominal = values(car)
+    column = torch.tensor([nominal[name] for name in names])[:, None]
+    return column * (1 + 0.1 * torch.randn(len(names), count, generator=generator))
+
+
+@needs_compiler
+@pytest.mark.parametrize("count", [1, 15, 16, 17, 400])
+def test_kernel_follows_torch_for_100_steps(any_car, count):
+    names = [name for name in NAMES if name in values(any_car)]
+    step = 0.001 if hasattr(any_car.drive, "current_limit") else 0.01
+    compiled = choose_motion(any_car, names, step, 1, CPU, torch.float32)
+    assert isinstance(compiled, CompiledMotion)
+    exact = TorchMotion(any_car, names, step, 1)
+    state, command = random_states(any_car, count, seed=count)
+    command = 0.5 * command
+    state[3], state[7] = 3.0 + state[4], 3.0 + state[4]
+    table = tables(any_car, names, count)
+    got = state.float()
+    for _ in range(100):
+        state, got = exact(state, command, table.double()), compiled(got, command.float(), table)
+    scale = state.abs().amax(dim=1, keepdim=True).clamp(min=1.0)
+    assert ((got - state).abs() / scale).max() < 1e-5
+
+
+@needs_compiler
+def test_a_lost_car_stays_lost_and_alone(car):
+    compiled = choose_motion(car, ["friction"], 0.01, 5, CPU, torch.float32)
+    state, command = random_states(car, 40)
+    state[4, 7] = torch.nan
+    state[3, 20] = torch.inf
+    out = compiled(state.float(), command.float(), tables(car, ["friction"], 40))
+    broken = ~torch.isfinite(out).all(dim=0)
+    assert broken.nonzero().flatten().tolist() == [7, 20]
+
+
+@needs_compiler
+def test_many_processes_may_build_at_once(tmp_path):
+    code = (
+        "import torch; from tests.vehicle.conftest import make_car; from racerl.vehicle.kernel import choose_motion;"
+        "print(choose_motion(make_car(), [], 0.01, 5, torch.device('cpu'), torch.float32).name)"
+    )
+    environment = {"XDG_CACHE_HOME": str(tmp_path), "PATH": "/usr/bin:/bin", "PYTHONPATH": "."}
+    jobs = [subprocess.Popen([sys.executable, "-c", code], env=environment, stdout=subprocess.PIPE) for _ in range(3)]
+    assert [job.communicate(timeout=120)[0].decode().strip() for job in jobs] == ["compiled"] * 3
+    assert [path.suffix for path in (tmp_path / "racerl" / "kernels").iterdir()] == [".so"]
+
+
+@needs_compiler
+def test_the_process_keeps_subnormal_numbers(car):
+    assert choose_motion(car, [], 0.01, 5, CPU, torch.float32).name == "compiled"
+    assert np.float64(5e-324) * 1.0 > 0.0
+
+
+def test_without_a_compiler_torch_takes_over(car, monkeypatch, caplog):
+    monkeypatch.setattr(kernel.shutil, "which", lambda name: None)
+    with caplog.at_level(logging.WARNING):
+        motion = choose_motion(car, [], 0.01, 5, CPU, torch.float32)
+    assert motion.name == "torch" and "no C compiler" in caplog.text
+
+
+def test_a_broken_compiler_is_survived(car, monkeypatch, caplog, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(kernel, "FLAGS", ("--no-such-flag",))
+    with caplog.at_level(logging.WARNING):
+        motion = choose_motion(car, [], 0.01, 5, CPU, torch.float32)
+    assert motion.name == "torch" and "could not be compiled" in caplog.text
+
+
+@needs_compiler
+def test_a_wrong_kernel_is_refused(car, monkeypatch, caplog):
+    other = dataclasses.replace(car, mass=car.mass * 1.3)
+    monkeypatch.setattr(kernel, "source", lambda vehicle, names, honest=kernel.source: honest(other, names))
+    with caplog.at_level(logging.WARNING):
+        motion = choose_motion(car, [], 0.01, 5, CPU, torch.float32)
+    assert motion.name == "torch" and "disagrees" in caplog.text
+
+
+def test_other_devices_and_precisions_run_on_torch(car):
+    assert choose_motion(car, [], 0.01, 5, CPU, torch.float64).name == "torch"
