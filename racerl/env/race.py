@@ -165,7 +165,8 @@ class Race:
         faulty = ~torch.isfinite(moved).all(dim=0)
         if bool(faulty.any()):
             self._report(faulty)
-            moved = torch.where(faulty, self.state, moved)
+            # the state before may be broken too; the car is started over after this step
+            moved = torch.where(faulty, self.state.nan_to_num(0.0, 0.0, 0.0), moved)
         self.state = moved
         self.age = self.age + 1
         last = self.s

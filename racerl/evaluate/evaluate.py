@@ -78,8 +78,9 @@ def combine(trained: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str
     for group in OVERRIDABLE:
         if settings.get(group) is not None:
             combined[group] = settings[group]
-    # the car that is driven has actuators, whatever the policy was trained with
-    combined["sim"] = {**combined["sim"], "actuators": settings["car"]["actuators"], "max_steps": UNLIMITED}
+    # the car that is driven has actuators, whatever the policy was trained with, unless `sim` is asked for
+    actuators = combined["sim"]["actuators"] if settings.get("sim") else settings["car"]["actuators"]
+    combined["sim"] = {**combined["sim"], "actuators": actuators, "max_steps": UNLIMITED}
     return combined
 
 

@@ -1,0 +1,58 @@
+"""What the policy sees, number by number."""
+
+import pytest
+import torch
+
+from racerl import registry
+from racerl.env import actions, observations
+from racerl.errors import ConfigError
+from tests.env.test_race import make, place
+
+
+def test_geometric_lists_car_and_preview():
+    race = make(cars=1)
+    place(race, s=11.0, n=0.2, speed=3.0, heading=0.1)
+    seen = race.observe()[0]
+    assert seen.shape == (50,)
+    assert seen[:5].tolist() == pytest.approx([0.5, 0.0, 0.1 / torch.pi, 0.4, 0.0], abs=1e-4)
+    assert seen[5:10].tolist() == pytest.approx([0.0, 0.0, 0.0, 3.0 / 7.0, 0.5], abs=1e-6)
+    ahead = 11.0 + 0.3 * torch.arange(1, 21)
+    assert torch.allclose(seen[10:30] * race.track.max_curvature, race.frame.lookup(race.frame.curvature, ahead))
+    assert torch.allclose(seen[30:], torch.ones(20))
+
+
+def test_progress_ends_with_the_place():
+    race = make("obs=progress", cars=1)
+    place(race, s=4.0, n=-0.1, speed=3.0)
+    seen = race.observe()[0]
+    assert seen.shape == (11,)
+    assert seen.tolist()[:3] == pytest.approx([-0.2, 0.0, 0.5], abs=1e-4)
+    assert float(seen[-1]) == pytest.approx(4.0 / race.track.length, abs=1e-4)
+
+
+def test_geometric_does_not_depend_on_the_place_of_an_equal_track():
+    """A car sees the same on two stretches with the same curvature: here, on a circle."""
+    race = make(cars=2)
+    place(race, s=3.0, speed=2.0)
+    race.frame.curvature = torch.full_like(race.frame.curvature, 0.3)
+    race.s = torch.tensor([3.0, 9.0])
+    seen = race.observe()
+    assert torch.equal(seen[0], seen[1])
+
+
+@pytest.mark.parametrize("package", [observations, actions])
+def test_every_module_is_found_and_builds(package):
+    names = registry.choices(package)
+    assert len(names) >= 2
+    for name in names:
+        assert registry.create(package, {"name": name}) is not None
+
+
+@pytest.mark.parametrize("settings, said", [
+    ({"name": "geometrc"}, "geometric"), ({}, "name"), ({"name": "geometric", "point": 3}, "points"),
+    ({"name": "geometric", "points": 0}, "points"), ({"name": "os.system"}, "unknown"), ({"name": 3}, "unknown"),
+    ({"name": "geometric", "points": "many"}, "geometric"),
+])
+def test_wrong_settings_are_named(settings, said):
+    with pytest.raises(ConfigError, match=said):
+        registry.create(observations, settings)

@@ -1,0 +1,182 @@
+"""The race: reward, episodes, restarts, faults, determinism."""
+
+import dataclasses
+import logging
+import math
+
+import pytest
+import torch
+
+from racerl.assemble import build_race
+from racerl.config import compose_settings
+from racerl.env.race import Race, Timing
+from racerl.env.termination import Crash
+from racerl.errors import ConfigError
+from racerl.vehicle.vehicle import STATE
+
+X, Y, YAW, V_X = (STATE.index(name) for name in ("x", "y", "yaw", "v_x"))
+
+
+def make(*overrides: str, cars: int = 8, seeds=(0,), **kwargs) -> Race:
+    return build_race(compose_settings("train", overrides), cars=cars, seeds=list(seeds), **kwargs)
+
+
+def place(race: Race, s: float, n: float = 0.0, speed: float = 2.0, heading: float = 0.0) -> None:
+    """Put all cars at (s, n)."""
+    column = torch.full((race.count,), s)
+    x, y, yaw = race.frame.position(column, torch.full_like(column, n))
+    race.state = torch.zeros_like(race.state)
+    race.state[X], race.state[Y], race.state[YAW], race.state[V_X], race.state[-1] = x, y, yaw + heading, speed, speed
+    race.command = torch.stack([torch.zeros_like(x), torch.full_like(x, speed)])
+    race.s = column
+    race._locate()
+    race.travelled = race.s.double()
+
+
+def test_cars_start_anywhere_on_the_centreline_along_it():
+    race = make(cars=4000)
+    assert (race.n.abs() < 1e-4).all() and (race.heading.abs() < 1e-4).all()
+    assert 0.5 <= float(race.v_x.min()) < 0.52 and 1.98 < float(race.v_x.max()) <= 2.0
+    assert torch.histc(race.s, 10, 0, race.track.length).min() > 300
+    assert torch.equal(race.omega, race.v_x) and torch.equal(race.command[1], race.v_x)
+
+
+def test_reward_is_the_progress():
+    race = make(cars=16)
+    total = torch.zeros(16)
+    start = race.travelled.clone()
+    for _ in range(10):
+        step = race.step(torch.zeros(16, 2))
+        total += step.reward
+        if step.terminated.any():
+            pytest.skip("a car left the track")
+    assert torch.allclose(total.double(), race.travelled - start, atol=1e-5)
+    assert (total > 0).all()
+
+
+def test_leaving_the_track_costs_one_and_starts_over():
+    race = make(cars=1)
+    place(race, s=1.0, n=0.45, speed=3.0, heading=0.8)
+    step = race.step(torch.zeros(1, 2))
+    assert float(step.reward) == -1.0 and bool(step.terminated) and not bool(step.truncated)
+    assert float(step.margin) < 0 and float(race.margin) > 0.49 and int(race.age) == 0
+    assert not torch.equal(step.observation, step.final_observation)
+
+
+def test_an_episode_is_cut_off_not_ended_after_its_steps():
+    race = make("sim.max_steps=3", cars=1)
+    place(race, s=0.5)
+    steps = [race.step(torch.zeros(1, 2)) for _ in range(3)]
+    assert [bool(step.truncated) for step in steps] == [False, False, True]
+    assert not any(bool(step.terminated) for step in steps) and float(steps[-1].reward) > 0
+
+
+def test_a_crash_needs_more_than_leaving_the_track():
+    race = make(cars=1, termination=Crash())
+    place(race, s=1.0, n=0.6, speed=1.0)
+    assert not bool(race.step(torch.zeros(1, 2)).terminated)
+    place(race, s=1.0, n=0.75, speed=1.0)
+    assert bool(race.step(torch.zeros(1, 2)).terminated)
+
+
+def test_a_spin_and_a_stop_are_crashes():
+    race = make(cars=1, termination=Crash())
+    place(race, s=1.0, heading=math.pi / 2 + 0.1, speed=0.5)
+    assert bool(race.step(torch.zeros(1, 2)).terminated)
+    place(race, s=1.0, speed=0.0)
+    stopped = [bool(race.step(torch.tensor([[0.0, -1.0]])).terminated) for _ in range(25)]
+    assert stopped.index(True) == pytest.approx(20, abs=1)
+
+
+@pytest.mark.parametrize("poison", [float("nan"), float("inf")])
+def test_a_nan_in_one_car_starts_it_over_and_reaches_nobody(poison, caplog):
+    race, twin = make(cars=5), make(cars=5)
+    race.state[4, 2] = poison
+    with caplog.at_level(logging.WARNING):
+        step = race.step(torch.zeros(5, 2))
+    other = twin.step(torch.zeros(5, 2))
+    assert step.faulty.tolist() == [False, False, True, False, False] and race.faults == 1
+    assert "simulation failed" in caplog.text and "v_y" in caplog.text
+    for table in (step.observation, step.reward, step.final_observation, race.state):
+        assert torch.isfinite(table).all()
+    assert float(step.reward[2]) == 0.0 and bool(step.terminated[2])
+    healthy = [0, 1, 3, 4]
+    assert torch.equal(step.observation[healthy], other.observation[healthy])
+
+
+def test_nan_actions_are_no_actions():
+    race, twin = make(), make()
+    a = race.step(torch.full((8, 2), float("nan")))
+    b = twin.step(torch.zeros(8, 2))
+    assert torch.equal(a.observation, b.observation)
+
+
+def test_the_same_seed_gives_the_same_race():
+    actions = torch.rand(50, 8, 2) * 2 - 1
+    races = [make("dr=all_0.1", seeds=[seed]) for seed in (1, 1, 2)]
+    tracks = [torch.stack([race.step(action).observation for action in actions]) for race in races]
+    assert torch.equal(tracks[0], tracks[1]) and not torch.equal(tracks[0], tracks[2])
+
+
+def test_with_a_seed_each_a_car_does_not_depend_on_its_neighbours():
+    """The second car drives the same race alone, although its neighbour keeps crashing."""
+    actions = torch.rand(100, 2, 2) * 2 - 1
+    both, alone = make("dr=friction_0.1", cars=2, seeds=[5, 7]), make("dr=friction_0.1", cars=1, seeds=[7])
+    for action in actions:
+        together, single = both.step(action), alone.step(action[1:])
+        assert torch.allclose(together.observation[1], single.observation[0], atol=1e-6)
+
+
+def test_a_snapshot_continues_bit_for_bit():
+    race, other = make("dr=all_0.05", seeds=[3]), make("dr=all_0.05", seeds=[4])
+    actions = torch.rand(60, 8, 2) * 2 - 1
+    for action in actions[:30]:
+        race.step(action)
+    other.restore({name: value.clone() for name, value in race.snapshot().items()})
+    for action in actions[30:]:
+        assert torch.equal(race.step(action).observation, other.step(action).observation)
+
+
+def test_wheel_speed_rate_is_integrated_and_clamped():
+    race = make(cars=1)
+    place(race, s=0.5, speed=1.0)
+    race.step(torch.tensor([[0.5, 1.0]]))
+    assert race.command[:, 0].tolist() == pytest.approx([0.25, 1.25])
+    place(race, s=0.5, speed=0.1)
+    race.step(torch.tensor([[-9.0, -9.0]]))
+    assert race.command[:, 0].tolist() == pytest.approx([-0.5, 0.01])
+
+
+def test_wheel_speed_is_set_directly_in_the_other_action():
+    race = make("action=speed", cars=1)
+    place(race, s=0.5, speed=1.0)
+    race.step(torch.tensor([[0.0, 1.0]]))
+    assert float(race.command[1]) == pytest.approx(7.0) and float(race.command_rate) == pytest.approx(6.0 / 0.05)
+    race.step(torch.tensor([[0.0, -1.0]]))
+    assert float(race.command[1]) == pytest.approx(0.01)
+
+
+def test_the_two_drive_modes_do_not_mix():
+    with pytest.raises(ConfigError, match="motor_current"):
+        make("action=current")
+    race = make("action=current", "sim=motor_current", cars=1)
+    place(race, s=0.5, speed=1.0)
+    for _ in range(5):
+        race.step(torch.tensor([[0.0, 0.5]]))
+    assert float(race.v_x) > 1.3
+
+
+@pytest.mark.parametrize("change, said", [
+    ({"dt": 0.05, "step": 0.03}, "multiple"), ({"dt": 0.0}, "dt"), ({"max_steps": 0}, "max_steps"),
+    ({"step": 0.1}, "step"),
+])
+def test_timing_is_checked(change, said):
+    with pytest.raises(ConfigError, match=said):
+        dataclasses.replace(Timing(), **change)
+
+
+def test_counts_are_checked():
+    with pytest.raises(ConfigError, match="at least 1"):
+        make(cars=0)
+    with pytest.raises(ConfigError, match="seeds"):
+        make(cars=3, seeds=[1, 2])

@@ -1,0 +1,66 @@
+"""Domain randomization: the right parameters, the right spread, inside the bounds."""
+
+import pytest
+import torch
+
+from racerl.errors import ConfigError
+from racerl.vehicle.parameter import specifications, values
+from tests.env.test_race import make
+
+
+@pytest.mark.parametrize("choice, names", [("none", 0), ("friction_0.05", 1), ("all_0.05", 18)])
+def test_parameters_spread_by_sigma(choice, names):
+    race = make(f"dr={choice}", cars=20000)
+    assert len(race.draws.names) == names
+    nominal = values(race.vehicle)
+    for name, drawn in zip(race.draws.names, race.draws.values, strict=True):
+        factor = drawn / nominal[name]
+        assert float(factor.mean()) == pytest.approx(1.0, abs=0.002), name
+        assert float(factor.std()) == pytest.approx(0.05, rel=0.05), name
+
+
+def test_all_names_what_the_paper_names():
+    names = set(make("dr=all_0.02").draws.names)
+    assert {"friction", "mass", "yaw_inertia", "l_f", "steering.time_constant", "drive.time_constant"} <= names
+    assert {"front.p_Ky1", "rear.p_Kx1", "front.p_Cy1", "rear.p_Ey1"} <= names
+    assert not any(".p_D" in name for name in names)  # friction already scales the peak
+
+
+def test_any_sigma_by_override():
+    race = make("dr=friction_0.02", "dr.sigma=0.2", cars=20000)
+    assert float(race.draws.values[0].std()) == pytest.approx(0.2 * 0.8, rel=0.05)
+
+
+def test_draws_stay_inside_the_bounds():
+    race = make("dr=friction_0.02", "dr.sigma=1.0", cars=5000)
+    bounds = specifications(race.vehicle)["friction"]
+    drawn = race.draws.values[0]
+    assert float(drawn.min()) >= bounds.low - 1e-7 and float(drawn.max()) <= bounds.high
+    assert (drawn <= bounds.low + 1e-6).any()
+
+
+def test_only_cars_that_start_over_are_drawn_anew():
+    race = make("dr=friction_0.1", cars=6)
+    before = race.draws.values.clone()
+    race._restart(torch.tensor([True, False, False, True, False, False]))
+    changed = (race.draws.values != before).any(dim=0)
+    assert changed.tolist() == [True, False, False, True, False, False]
+
+
+def test_randomized_friction_changes_the_drive():
+    race = make("dr=friction_0.1", cars=50)
+    race.state = race.state[:, :1].expand(-1, 50).clone()
+    race.state[3], race.state[7], race.s = 3.0, 3.0, race.s[:1].expand(50).clone()
+    for _ in range(4):
+        moved = race.motion(race.state, torch.tensor([[0.4], [3.0]]).expand(2, 50), race.draws.values)
+        race.state = moved
+    order = race.draws.values[0].argsort()
+    assert (race.state[5][order].diff() >= -1e-5).all()  # more friction, more yaw rate
+
+
+@pytest.mark.parametrize("override, said", [
+    ("dr.parameters=[fricton]", "friction"), ("dr.sigma=2", "0 … 1"), ("dr.sigma=-0.1", "0 … 1"),
+])
+def test_wrong_randomization_is_refused(override, said):
+    with pytest.raises(ConfigError, match=said):
+        make("dr=friction_0.02", override)

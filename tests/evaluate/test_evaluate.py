@@ -1,0 +1,119 @@
+"""The evaluate stage on a real (if poor) policy."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+
+from racerl.config import compose_settings
+from racerl.env.termination import Crash
+from racerl.errors import ConfigError, PolicyError, RacerlError, RunError
+from racerl.evaluate.drive import Recorder, drive
+from racerl.evaluate.evaluate import combine, evaluate, label
+from tests.env.test_race import make
+
+
+class Follower:
+    """Steers back to the centreline and holds a walking pace: slow, but laps."""
+
+    name = "follower"
+
+    def act(self, race):
+        curvature = race.frame.lookup(race.frame.curvature, race.s + 0.2)
+        steering = 0.33 * curvature - 1.2 * race.n - 1.0 * race.heading
+        return torch.stack([steering / 0.5, (1.2 - race.omega)], dim=1)
+
+
+def test_a_known_driver_gets_known_laps():
+    race = make("sim.max_steps=1000000", cars=2, seeds=[0, 1], termination=Crash())
+    recorder = Recorder(race, [0, 1])
+    laps = drive(race, Follower(), 2, recorder)
+    assert len(laps) == 4 and all(lap.valid for lap in laps)
+    log = recorder.log()
+    for lap in laps:
+        rows = log[(log["seed"] == lap.car) & (log["lap"] == lap.number)]
+        # an independent clock: the distance driven at the recorded speeds
+        assert len(rows) * 0.05 == pytest.approx(lap.time_s, abs=0.1)
+        driven = np.hypot(rows["v_x"], rows["v_y"]).sum() * 0.05
+        assert driven == pytest.approx(race.track.length, rel=0.03)
+        assert lap.time_s == pytest.approx(race.track.length / 1.2, rel=0.05)
+
+
+def test_the_log_is_a_drive_log():
+    race = make("sim.max_steps=1000000", cars=1, termination=Crash())
+    recorder = Recorder(race, [0])
+    drive(race, Follower(), 1, recorder)
+    log = recorder.log()
+    assert {"t", "run", "x", "y", "yaw", "v_x", "v_y", "yaw_rate", "delta", "omega", "delta_ref", "omega_ref"} <= set(log)
+    for _, run in log.groupby("run"):
+        assert np.allclose(run["t"].diff().dropna(), 0.05)
+    step = log[log["run"] == log["run"].iloc[0]]
+    travelled = np.hypot(step["x"].diff(), step["y"].diff()).dropna()
+    speed = np.hypot(step["v_x"], step["v_y"])
+    assert np.allclose(travelled / 0.05, (speed + speed.shift(-1))[:-1] / 2, atol=0.05)
+
+
+def test_a_car_that_creeps_is_given_up(caplog):
+    class Creeper:
+        name = "creeper"
+
+        def act(self, race):
+            return torch.stack([0.66 * race.frame.lookup(race.frame.curvature, race.s + 0.1) - 2.4 * race.n
+                                - 2.0 * race.heading, 5 * (0.15 - race.omega)], dim=1)
+
+    race = make("sim.max_steps=1000000", cars=1, termination=Crash())
+    assert drive(race, Creeper(), 1) == [] and "given up" in caplog.text
+
+
+def test_metrics_and_files(smoke_evaluation):
+    metrics = json.loads((smoke_evaluation / "metrics.json").read_text())
+    for key in ("laps", "fastest_valid_lap_s", "mean_lap_s", "std_lap_s", "e_off", "crash_share", "max_off_track_m",
+                "rows", "car", "controller", "seed", "git_sha"):
+        assert key in metrics
+    assert metrics["laps"] == len(metrics["rows"]) == 4 and metrics["car"] == "model"
+    assert {row["seed"] for row in metrics["rows"]} == {0, 1}
+    drive_log = pd.read_parquet(smoke_evaluation / "trajectories.parquet")
+    assert set(drive_log["seed"]) == {0, 1} and np.isfinite(drive_log.to_numpy()).all()
+
+
+def test_a_seed_gives_the_same_laps_alone(smoke_run, smoke_evaluation, tmp_path):
+    evaluate(compose_settings("evaluate", [f"run='{smoke_run}'", "laps=2", "seeds=[1]"]), tmp_path / "alone")
+    alone = json.loads((tmp_path / "alone" / "metrics.json").read_text())["rows"]
+    both = json.loads((smoke_evaluation / "metrics.json").read_text())["rows"]
+    assert [row["e_off"] for row in alone] == pytest.approx([row["e_off"] for row in both if row["seed"] == 1])
+
+
+def test_the_driven_car_has_actuators_whatever_it_was_trained_with():
+    trained = compose_settings("train", ["sim=no_actuators", "dr=all_0.1"])
+    plain = combine(trained, compose_settings("evaluate", ["run=x"]))
+    assert plain["sim"]["actuators"] is True and plain["dr"]["sigma"] == 0.0
+    assert combine(trained, compose_settings("evaluate", ["run=x", "sim=no_actuators"]))["sim"]["actuators"] is False
+    assert combine(trained, compose_settings("evaluate", ["run=x", "dr=friction_0.1"]))["dr"]["sigma"] == 0.1
+    assert "no actuator model" in label(trained) and "all σ = 0.1" in label(trained)
+
+
+@pytest.mark.parametrize("override, said", [
+    ("laps=0", "laps"), ("laps=1.5", "laps"), ("seeds=[]", "seeds"), ("seeds=[-1]", "seeds"), ("run=nowhere", "no racerl run"),
+])
+def test_wrong_settings(override, said, smoke_run, tmp_path):
+    with pytest.raises(RacerlError, match=said):
+        evaluate(compose_settings("evaluate", [f"run='{smoke_run}'", override]), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_evaluation_is_no_policy(smoke_evaluation, tmp_path):
+    with pytest.raises(RunError, match="a train run was expected"):
+        evaluate(compose_settings("evaluate", [f"run='{smoke_evaluation}'"]), tmp_path / "out")
+
+
+def test_a_policy_of_another_shape_is_refused(smoke_run, tmp_path):
+    import shutil
+
+    copy = tmp_path / "copy"
+    shutil.copytree(smoke_run, copy)
+    text = (copy / "config.yaml").read_text().replace("points: 20", "points: 10")
+    (copy / "config.yaml").write_text(text)
+    with pytest.raises((PolicyError, ConfigError)):
+        evaluate(compose_settings("evaluate", [f"run='{copy}'"]), tmp_path / "out")

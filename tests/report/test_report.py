@@ -1,0 +1,104 @@
+"""The report: complete, self-contained, reproducible, and never misled by a foreign file."""
+
+import json
+import re
+import shutil
+
+import pytest
+
+from racerl.errors import RunError
+from racerl.report import paper_values
+from racerl.report.report import report
+from racerl.report.subjects import find_subjects
+
+
+@pytest.fixture
+def raced(smoke_run, smoke_evaluation, tmp_path):
+    """A private copy of outputs/ in which the smoke policy has finished laps."""
+    outputs = tmp_path / "outputs"
+    shutil.copytree(smoke_run.parent.parent, outputs)
+    path = outputs / "evaluate" / "smoke" / "metrics.json"
+    metrics = json.loads(path.read_text())
+    import pandas as pd
+
+    drive = pd.read_parquet(path.parent / "trajectories.parquet")
+    first = drive["seed"] == 0
+    drive.loc[first, "lap"] = 1
+    drive.to_parquet(path.parent / "trajectories.parquet")
+    metrics["rows"][0] |= {"time_s": 6.25, "valid": True, "crashed": False, "number": 1, "seed": 0}
+    metrics |= {"mean_lap_s": 6.25, "fastest_valid_lap_s": 6.25, "valid_laps": 1}
+    path.write_text(json.dumps(metrics))
+    return outputs
+
+
+def test_the_page_is_self_contained_and_complete(raced, tmp_path):
+    page = report({"runs": []}, tmp_path / "report", raced).read_text()
+    assert not re.search(r'(src|href)="(?!data:)', page) and "<script" not in page
+    assert page.count("data:image/svg+xml;base64,") == 4
+    for name in ("racing_line", "channels", "lap_times", "learning_curve"):
+        svg = (tmp_path / "report" / f"{name}.svg").read_text()
+        assert svg.startswith("<?xml") and "</svg>" in svg
+    for value in ("6.250", "5.561", "paper: MPC", "geometric, speed rate, friction σ = 0.02", "1 of 4"):
+        assert value in page, value
+
+
+def test_drawn_twice_it_is_byte_identical(raced, tmp_path):
+    pages = [report({"runs": []}, tmp_path / name, raced).read_bytes() for name in ("a", "b")]
+    assert pages[0] == pages[1]
+
+
+def test_runs_can_be_named(raced, tmp_path):
+    page = report({"runs": [str(raced / "train" / "smoke")]}, tmp_path / "r1", raced).read_text()
+    assert "6.250" in page
+    page = report({"runs": [str(raced / "evaluate" / "smoke")]}, tmp_path / "r2", raced).read_text()
+    assert "6.250" in page and "Learning" in page
+
+
+def test_an_unraced_run_is_said_to_be_unraced(raced, tmp_path):
+    shutil.rmtree(raced / "evaluate")
+    page = report({"runs": []}, tmp_path / "report", raced).read_text()
+    assert "has not been raced" in page and "Learning" in page
+
+
+def test_incomplete_runs_are_left_out(raced, tmp_path):
+    manifest = raced / "train" / "smoke" / "manifest.json"
+    manifest.write_text(manifest.read_text().replace('"complete"', '"running"'))
+    shutil.rmtree(raced / "evaluate")
+    with pytest.raises(RunError, match="no finished run"):
+        report({"runs": []}, tmp_path / "report", raced)
+    with pytest.raises(RunError, match="not complete"):
+        report({"runs": [str(raced / "train" / "smoke")]}, tmp_path / "report", raced)
+    assert not (tmp_path / "report").exists()
+
+
+@pytest.mark.parametrize("file, content", [
+    ("metrics.json", "{}"), ("metrics.json", "[1"), ("trajectories.parquet", "x"), ("track.csv", ""),
+])
+def test_damaged_evaluations_are_named(raced, tmp_path, file, content):
+    (raced / "evaluate" / "smoke" / file).write_text(content)
+    with pytest.raises(RunError, match="damaged"):
+        report({"runs": []}, tmp_path / "report", raced)
+
+
+def test_hostile_names_are_only_text(raced, tmp_path):
+    path = raced / "evaluate" / "smoke" / "metrics.json"
+    metrics = json.loads(path.read_text())
+    path.write_text(json.dumps({**metrics, "label": "<script>alert(1)</script>"}))
+    page = report({"runs": []}, tmp_path / "report", raced).read_text()
+    assert "<script" not in page and "&lt;script&gt;" in page
+
+
+def test_the_newest_evaluation_counts(raced):
+    newer = raced / "evaluate" / "newer"
+    shutil.copytree(raced / "evaluate" / "smoke", newer)
+    manifest = json.loads((newer / "manifest.json").read_text())
+    (newer / "manifest.json").write_text(json.dumps({**manifest, "finished": "2999-01-01T00:00:00+00:00"}))
+    subjects = find_subjects([], raced)
+    assert len(subjects) == 1 and subjects[0].evaluation.path == newer
+
+
+def test_the_papers_values_are_the_papers():
+    table = paper_values.table_1().set_index("name")
+    assert table.loc["rl_geometric", "fastest_valid_lap_s"] == 5.561 and table.loc["mpc", "e_off"] == 0.00083
+    assert set(table.index) == set(paper_values.NAMES)
+    assert set(paper_values.figure_6("speed")) == {"driver", "s_m", "v_x"} and len(paper_values.figure_6("lines", "human"))

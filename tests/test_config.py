@@ -1,0 +1,91 @@
+"""Configurations: every file composes and builds, overrides do what they say, mistakes are one line."""
+
+import pytest
+
+from racerl.assemble import build_race
+from racerl.config import compose_settings, default_groups, make_env
+from racerl.errors import ConfigError, RacerlError
+from racerl.registry import construct
+from racerl.train.ppo import Budget
+from tests.conftest import CONF
+
+GROUPS = ("vehicle", "track", "sim", "obs", "action", "dr", "budget")
+CHOICES = [
+    f"{group}={path.stem}"
+    for group in (*GROUPS, "vehicle/effect")
+    for path in sorted((CONF / group).glob("*.yaml"))
+    if path.stem != "file"
+]
+COMPANIONS = {"action=current": ["sim=motor_current"], "sim=motor_current": ["action=current"]}
+
+
+def test_no_file_is_left_out():
+    found = {path.relative_to(CONF).as_posix() for path in CONF.rglob("*.yaml")}
+    listed = {f"{choice.replace('=', '/')}.yaml" for choice in CHOICES}
+    rest = {"train.yaml", "evaluate.yaml", "report.yaml", "track/file.yaml", "vehicle/file.yaml", "car/model.yaml",
+            "hydra/racerl.yaml"}
+    assert found == listed | rest
+
+
+@pytest.mark.parametrize("choice", CHOICES)
+def test_every_choice_composes_and_drives(choice):
+    word = f"+{choice}" if choice.startswith("vehicle/effect") else choice
+    settings = compose_settings("train", [word, *COMPANIONS.get(choice, [])])
+    construct(Budget, settings["budget"], "budget")
+    race = build_race(settings, cars=3, seeds=[0])
+    import torch
+
+    step = race.step(torch.zeros(3, 2))
+    assert torch.isfinite(step.observation).all() and race.faults == 0
+
+
+@pytest.mark.parametrize("command", ["train", "evaluate", "report"])
+def test_every_command_composes(command):
+    settings = compose_settings(command, ["run=x"] if command == "evaluate" else [])
+    assert settings["out"].startswith(f"outputs/{command}/")
+
+
+@pytest.mark.parametrize("word", ["dr=friction_0.05", "+dr=friction_0.05", "++dr=friction_0.05"])
+def test_plus_or_not(word):
+    assert compose_settings("train", [word])["dr"]["sigma"] == 0.05
+
+
+def test_groups_are_read_from_the_command():
+    assert set(GROUPS) <= set(default_groups("train")) and "car" in default_groups("evaluate")
+
+
+def test_files_stand_for_tracks_and_vehicles(tmp_path, monkeypatch):
+    (tmp_path / "my track's.csv").write_text((CONF / "track" / "l_shape.csv").read_text())
+    (tmp_path / "model.yaml").write_text((CONF / "vehicle" / "f1tenth.yaml").read_text().replace("5.1 ", "4.4 "))
+    monkeypatch.chdir(tmp_path)
+    settings = compose_settings("train", ["track=my track's.csv", f"vehicle={tmp_path}/model.yaml"])
+    race = build_race(settings, cars=1, seeds=[0])
+    assert race.vehicle.mass == 4.4 and race.track.name == "my track's"
+
+
+def test_a_conf_folder_here_shadows_the_packaged_one(tmp_path, monkeypatch):
+    (tmp_path / "conf" / "dr").mkdir(parents=True)
+    (tmp_path / "conf" / "dr" / "mine.yaml").write_text("sigma: 0.33\nparameters: [mass]\n")
+    (tmp_path / "conf" / "dr" / "none.yaml").write_text("sigma: 0.01\nparameters: [mass]\n")
+    monkeypatch.chdir(tmp_path)
+    assert compose_settings("train", ["dr=mine"])["dr"]["sigma"] == 0.33
+    assert compose_settings("train", [])["dr"]["sigma"] == 0.01
+
+
+@pytest.mark.parametrize("words, said", [
+    (["dr=frction_0.02"], "friction_0.02"), (["drr=none"], "did you mean dr"), (["budget.stpes=3"], "budget.steps"),
+    (["tarck=l_shape"], "track"), (["+colour=red"], "unknown key 'colour'"), (["~seed"], "seed"),
+    (["vehicle.front.p_Dx=1"], "p_Dx1"), (["seed"], "key=value"), (["seed=[1,"], "cannot read"),
+    (["vehicle.mass=${nowhere}"], "nowhere"), (["track.file=???"], "track.file is missing"),
+    (["+vehicle/effect=aero_drug"], "aero_drag"), (["--mutlirun"], "--multirun"), (["seed=.nan"], "seed"),
+])
+def test_mistakes_are_one_line_with_the_near_choices(words, said):
+    with pytest.raises(RacerlError) as error:
+        settings = compose_settings("train", words)
+        if settings["seed"] != 0:
+            raise ConfigError(f"seed = {settings['seed']}")
+    assert said in str(error.value) and "\n" not in str(error.value)
+
+
+def test_environments_take_overrides():
+    assert make_env(["obs=progress"]).observation_space.shape == (11,)

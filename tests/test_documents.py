@@ -1,0 +1,90 @@
+"""Documents: atomic on the way out, bounded and inert on the way in."""
+
+import json
+import os
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from racerl import documents
+from racerl.documents import inside, read_json, read_yaml, write_bytes, write_json, write_yaml
+from racerl.errors import DocumentError
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
+    target = tmp_path / "a.json"
+    write_json(target, {"kept": 1})
+
+    def full(descriptor):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space"):
+        write_json(target, {"kept": 2})
+    assert read_json(target) == {"kept": 1} and [path.name for path in tmp_path.iterdir()] == ["a.json"]
+
+
+def test_yaml_comes_back(tmp_path):
+    content = {"a": 1e-4, "b": [1, 2.5, "x"], "c": {"d": True, "e": None, "f": "friction_0.02"}}
+    write_yaml(tmp_path / "a.yaml", content)
+    assert read_yaml(tmp_path / "a.yaml") == content
+
+
+@pytest.mark.parametrize("text, said", [
+    ("a: &x 1\nb: *x\n", "aliases"), ("a: .nan", "finite"), ("a: .inf", "finite"), ("a: [1, {b: -.inf}]", "finite"),
+    ("a: !!python/object/apply:os.system [ls]", "not valid YAML"), ("- 1", "mapping"), ("a: b: c", "not valid YAML"),
+    ("{" * 3000, "not valid YAML"), ("a: 1\n" + "#" * 2**20, "bytes"),
+])
+def test_hostile_yaml_is_refused_in_one_line(tmp_path, text, said):
+    (tmp_path / "a.yaml").write_text(text)
+    with pytest.raises(DocumentError, match=said) as error:
+        read_yaml(tmp_path / "a.yaml")
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("text", ["[1]", "{", '{"a": NaN}', '{"a": Infinity}', "[" * 100_000])
+def test_bad_json_is_refused(tmp_path, text):
+    (tmp_path / "a.json").write_text(text)
+    with pytest.raises(DocumentError):
+        read_json(tmp_path / "a.json")
+
+
+def test_nan_is_never_written(tmp_path):
+    with pytest.raises(ValueError):
+        write_json(tmp_path / "a.json", {"a": float("nan")})
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["../x", "/etc/passwd", "a/../../x"])
+def test_paths_do_not_escape(tmp_path, name):
+    with pytest.raises(DocumentError, match="leads out"):
+        inside(tmp_path, name)
+    assert inside(tmp_path, "a/../b") == (tmp_path / "b").resolve()
+
+
+def test_a_link_does_not_escape(tmp_path):
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / "link").symlink_to("/etc")
+    with pytest.raises(DocumentError):
+        inside(tmp_path / "folder", "link/passwd")
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.binary(max_size=200))
+def test_random_bytes_are_read_or_refused(tmp_path_factory, content):
+    path = tmp_path_factory.mktemp("fuzz") / "a"
+    write_bytes(path, content)
+    for read in (read_yaml, read_json):
+        try:
+            assert isinstance(read(path), dict)
+        except DocumentError as error:
+            assert "\n" not in str(error)
+
+
+@given(st.dictionaries(st.text(max_size=5), st.floats(allow_nan=False, allow_infinity=False), max_size=5))
+def test_json_round_trips(tmp_path_factory, content):
+    path = tmp_path_factory.mktemp("json") / "a.json"
+    write_json(path, content)
+    assert read_json(path) == json.loads(json.dumps(content))
+    assert documents.read_text(path).endswith("\n")

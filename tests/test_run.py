@@ -1,0 +1,54 @@
+"""Run folders: who may write where, and which may be read."""
+
+import json
+
+import pytest
+
+from racerl.errors import RunError
+from racerl.run import FORMAT, RunFolder, config_hash
+
+
+def test_a_run_is_started_finished_and_opened(tmp_path):
+    folder = RunFolder.start(tmp_path / "a", "train", {"seed": 1, "out": "a"}, seed=1)
+    with pytest.raises(RunError, match="not complete"):
+        RunFolder.open_complete(tmp_path / "a")
+    folder.finish(steps=3)
+    opened = RunFolder.open_complete(tmp_path / "a", "train")
+    assert opened.manifest["steps"] == 3 and opened.settings() == {"seed": 1, "out": "a"}
+    assert {"git_sha", "cpu", "libraries", "python"} <= set(opened.manifest)
+
+
+def test_an_interrupted_run_of_the_same_settings_is_continued(tmp_path):
+    first = RunFolder.start(tmp_path / "a", "train", {"seed": 1})
+    assert RunFolder.start(tmp_path / "a", "train", {"seed": 1}).manifest["run_id"] == first.manifest["run_id"]
+    with pytest.raises(RunError, match="another"):
+        RunFolder.start(tmp_path / "a", "train", {"seed": 2})
+    with pytest.raises(RunError, match="another"):
+        RunFolder.start(tmp_path / "a", "evaluate", {"seed": 1})
+
+
+@pytest.mark.parametrize("manifest, said", [
+    ({"format": FORMAT + 1}, "format"), ({"format": FORMAT}, "no 'stage'"), ("[]", "object"), ("{", "JSON"),
+])
+def test_foreign_manifests_are_refused(tmp_path, manifest, said):
+    text = manifest if isinstance(manifest, str) else json.dumps(manifest)
+    (tmp_path / "manifest.json").write_text(text)
+    with pytest.raises(RunError, match=said):
+        RunFolder.open_complete(tmp_path)
+
+
+def test_a_missing_config_is_named(tmp_path):
+    RunFolder.start(tmp_path / "a", "train", {"seed": 1}).finish()
+    (tmp_path / "a" / "config.yaml").unlink()
+    with pytest.raises(RunError, match="config"):
+        RunFolder.open_complete(tmp_path / "a").settings()
+
+
+def test_an_unwritable_place_is_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RunError, match="cannot be written"):
+        RunFolder.start(tmp_path / "file" / "run", "train", {})
+
+
+def test_the_hash_knows_what_matters():
+    assert config_hash({"a": 1, "out": "x"}) == config_hash({"out": "y", "a": 1}) != config_hash({"a": 2})

@@ -1,0 +1,150 @@
+"""Projection: exact where it is unique, continuous through hairpins, and never across an infield."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from racerl.track.frenet import FrenetFrame
+from racerl.track.load import read_track
+from racerl.track.track import build_track
+from tests.conftest import CONF
+
+TRACK = read_track(CONF / "track" / "l_shape.csv")
+FRAME = FrenetFrame(TRACK, dtype=torch.float64)
+HAIRPIN = float(np.argmax(-TRACK.curvature) * TRACK.spacing)
+share = st.floats(0.0, 1.0)
+
+
+def column(*values):
+    return torch.tensor(values, dtype=torch.float64)
+
+
+def nearest_distance(x, y):
+    """Brute force: the distance to a centreline sampled every 2 mm."""
+    s = torch.arange(0, TRACK.length, 0.002, dtype=torch.float64)
+    px, py, _ = FRAME.position(s, torch.zeros_like(s))
+    return torch.hypot(x[:, None] - px, y[:, None] - py).min(dim=1).values
+
+
+@settings(max_examples=300, deadline=None)
+@given(share, st.floats(-0.45, 0.45), st.floats(-0.35, 0.35))
+def test_projection_inverts_position(place, n, moved):
+    s = column(place * TRACK.length)
+    kappa = FRAME.lookup(FRAME.curvature, s)
+    if float(1 - kappa * n) < 0.1:
+        return
+    x, y, yaw = FRAME.position(s, column(n))
+    foot = FRAME.project(x, y, FRAME.wrap(s + moved))
+    assert abs(float(FRAME.difference(foot.s, s))) < 1e-3
+    assert abs(float(foot.n) - n) < 1e-4
+    assert abs(float(foot.yaw - yaw)) < 3e-3
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.floats(-2.0, 2.0), st.floats(-0.55, -0.40), st.floats(-0.35, 0.35))
+def test_the_hairpin_projects_to_the_nearest_point(away, n, moved):
+    """Where 1 − κn vanishes, s is ambiguous but the distance is not."""
+    s = FRAME.wrap(column(HAIRPIN + away))
+    x, y, _ = FRAME.position(s, column(n))
+    foot = FRAME.project(x, y, FRAME.wrap(s + moved))
+    nearest = float(nearest_distance(x, y))
+    assert abs(float(foot.n)) <= nearest * 1.025 + 1e-3
+    assert abs(float(foot.n)) >= nearest - 1e-3
+    fx, fy, _ = FRAME.position(foot.s, foot.n)
+    assert float(torch.hypot(fx - x, fy - y)) < 0.03
+
+
+@pytest.mark.parametrize("n", [-0.40, -0.46, -0.48, -0.49, -0.50, 0.3])
+def test_a_walk_through_the_hairpin_arrives(n):
+    """Along an offset line the walk gains the whole hairpin, whatever happens at the centre of curvature."""
+    s = torch.linspace(HAIRPIN - 2.5, HAIRPIN + 2.5, 300, dtype=torch.float64)
+    x, y, _ = FRAME.position(FRAME.wrap(s), torch.full_like(s, n))
+    last, travelled, furthest = FRAME.wrap(s[:1]), 0.0, 0.0
+    for i in range(len(s)):
+        foot = FRAME.project(x[i : i + 1], y[i : i + 1], last)
+        travelled += float(FRAME.difference(foot.s, last))
+        furthest = max(furthest, float(foot.n.abs()))
+        last = foot.s
+    assert travelled == pytest.approx(5.0, abs=0.02)
+    assert furthest <= abs(n) + 1e-3
+
+
+def test_a_car_does_not_jump_across_the_infield():
+    """Two straights 0.9 m apart: crossing to the other one counts as leaving the own one."""
+    straight = np.arange(0, 10, 0.1)
+    turn = np.linspace(-np.pi / 2, np.pi / 2, 16)[1:-1]
+    points = np.concatenate([
+        np.stack([straight, 0 * straight], axis=1),
+        np.stack([10 + 0.45 * np.cos(turn), 0.45 + 0.45 * np.sin(turn)], axis=1),
+        np.stack([straight[::-1], 0 * straight + 0.9], axis=1),
+        np.stack([-0.1 - 0.45 * np.cos(turn), 0.45 - 0.45 * np.sin(turn)], axis=1),
+    ])
+    width = np.full(len(points), 0.44)
+    frame = FrenetFrame(build_track("oval", points, width, width), dtype=torch.float64)
+    s = column(6.0)
+    for n in np.arange(0.0, 0.95, 0.02):
+        foot = frame.project(column(6.0), column(float(n)), s)
+        s = foot.s
+        assert float(foot.s) == pytest.approx(6.0, abs=0.02) and float(foot.n) == pytest.approx(n, abs=2e-3)
+    assert float(frame.margin(foot.s, foot.n)) < -0.4
+    assert float(frame.project_anywhere(column(6.0), column(0.9)).s) > 10.0
+
+
+def test_a_crossing_track_keeps_its_branch():
+    angle = np.arange(400) / 400 * 2 * np.pi
+    points = np.stack([8 * np.sin(angle), 4 * np.sin(2 * angle)], axis=1)
+    width = np.full(400, 0.5)
+    track = build_track("eight", points, width, width)
+    frame = FrenetFrame(track, dtype=torch.float64)
+    s = torch.linspace(0.1, track.length - 0.1, 500, dtype=torch.float64)
+    x, y, _ = frame.position(s, torch.full_like(s, 0.2))
+    last = s[:1]
+    for i in range(500):
+        foot = frame.project(x[i : i + 1], y[i : i + 1], last)
+        last = foot.s
+        assert float(frame.difference(foot.s, s[i])) == pytest.approx(0.0, abs=1e-3)
+
+
+@settings(max_examples=200, deadline=None)
+@given(share, share)
+def test_differences_are_short_and_signed(a, b):
+    s, t = column(a * TRACK.length), column(b * TRACK.length)
+    difference = float(FRAME.difference(s, t))
+    assert -TRACK.length / 2 - 1e-9 <= difference <= TRACK.length / 2 + 1e-9
+    assert float(FRAME.difference(FRAME.wrap(t + difference), s)) == pytest.approx(0.0, abs=1e-9)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.floats(-100, 100))
+def test_wrap_and_lookup_are_periodic(s):
+    wrapped = FRAME.wrap(column(s))
+    assert 0.0 <= float(wrapped) < TRACK.length
+    again = FRAME.lookup(FRAME.curvature, column(s + TRACK.length))
+    assert float(FRAME.lookup(FRAME.curvature, column(s))) == pytest.approx(float(again), abs=1e-9)
+
+
+def test_a_batch_is_its_cars(l_count=64):
+    draw = np.random.default_rng(0)
+    s = torch.tensor(draw.uniform(0, TRACK.length, l_count))
+    x, y, _ = FRAME.position(s, torch.tensor(draw.uniform(-0.6, 0.6, l_count)))
+    start = FRAME.wrap(s + torch.tensor(draw.uniform(-0.3, 0.3, l_count)))
+    together = FRAME.project(x, y, start)
+    for i in range(l_count):
+        alone = FRAME.project(x[i : i + 1], y[i : i + 1], start[i : i + 1])
+        assert torch.equal(together.s[i], alone.s[0]) and torch.equal(together.n[i], alone.n[0])
+
+
+def test_single_precision_is_precise_enough():
+    single = FrenetFrame(TRACK)
+    draw = np.random.default_rng(1)
+    s, n = torch.tensor(draw.uniform(0, TRACK.length, 2000)), torch.tensor(draw.uniform(-0.4, 0.4, 2000))
+    x, y, _ = FRAME.position(s, n)
+    foot = single.project(x.float(), y.float(), s.float())
+    assert (foot.n - n).abs().max() < 1e-4 and FRAME.difference(foot.s.double(), s).abs().max() < 1e-3
+
+
+def test_margin_is_the_distance_to_the_nearer_boundary():
+    margin = FRAME.margin(column(1.0, 1.0, 1.0), column(0.0, 0.4, -0.7))
+    assert torch.allclose(margin, column(0.5, 0.1, -0.2))

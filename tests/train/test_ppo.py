@@ -1,0 +1,133 @@
+"""Learning: advantages against an independent formula, a policy that must improve, and one that cannot."""
+
+import numpy as np
+import pytest
+import torch
+from stable_baselines3.common.buffers import RolloutBuffer
+from stable_baselines3.common.logger import configure
+
+from racerl.errors import ConfigError
+from racerl.registry import construct
+from racerl.train.ppo import Budget, RacePPO
+from racerl.train.rollout import Rollout
+from tests.env.test_race import make
+
+SMALL = {"cars": 64, "rollout": 32, "batch": 512, "epochs": 5, "learning_rate": 1e-3, "final_learning_rate": 1e-3,
+         "actor": [32, 32], "critic": [32, 32], "steps": 60_000, "gamma": 0.95, "initial_std": 0.5}
+
+
+def learner(race=None, seed=0, **changes):
+    budget = construct(Budget, {**SMALL, **changes}, "budget")
+    model = RacePPO(race or make(cars=budget.cars), budget, seed)
+    model.set_logger(configure(None, []))
+    return model
+
+
+def test_advantages_are_those_of_stable_baselines3():
+    steps, cars = 20, 7
+    model = learner(make(cars=cars), cars=cars)
+    buffer = RolloutBuffer(steps, model.observation_space, model.action_space, "cpu", 0.9, 0.97, cars)
+    rollout = Rollout(steps, cars, 50, 2, torch.device("cpu"))
+    draw = np.random.default_rng(0)
+    rewards, values = draw.normal(size=(2, steps, cars)).astype(np.float32)
+    done = draw.random((steps + 1, cars)) < 0.2
+    buffer.rewards, buffer.values, buffer.episode_starts = rewards, values, done[:-1].astype(np.float32)
+    last = draw.normal(size=cars).astype(np.float32)
+    buffer.compute_returns_and_advantage(torch.tensor(last), done[-1])
+    rollout.rewards[:], rollout.values[:] = torch.tensor(rewards), torch.tensor(values)
+    rollout.continues[:] = 1.0 - torch.tensor(done[1:]).float()
+    rollout.estimate(torch.tensor(last), gamma=0.97, gae_lambda=0.9)
+    assert np.allclose(rollout.advantages.numpy(), buffer.advantages, atol=1e-5)
+    assert np.allclose(rollout.returns.numpy(), buffer.returns, atol=1e-5)
+
+
+def test_a_time_out_is_bootstrapped_and_an_end_is_not():
+    model = learner(make("sim.max_steps=60", cars=64), rollout=128, initial_std=2.0)
+    model.learn(64 * 128)
+    rollout = model.rollout
+    cut = rollout.continues == 0
+    assert cut.any()
+    # a car that was cut off got its progress plus γV; one that left the track got −1
+    left = cut & (rollout.rewards == -1.0)
+    timed_out = cut & ~left
+    assert left.any() and timed_out.any()
+    final = model.policy.predict_values(torch.zeros(1, 50))
+    assert torch.isfinite(final).all()
+    model.policy.value_net.bias.data += 100.0
+    truncated = torch.tensor([True, False, True])
+    added = model._time_out_value(truncated, torch.zeros(3, 50)).detach()
+    assert float(added[0]) == pytest.approx(0.95 * (float(final) + 100.0), rel=1e-5) and float(added[1]) == 0.0
+
+
+def mean_reward(model, steps):
+    """Return the mean reward of the first and of the last rollout."""
+    rewards = []
+
+    def remember(local, _):
+        if local["self"].num_timesteps % (64 * 32) == 0 and float(model.rollout.rewards[-1].abs().sum()) > 0:
+            rewards.append(float(model.rollout.rewards.mean()))
+        return True
+
+    model.learn(steps, callback=remember)
+    return np.mean(rewards[1:4]), np.mean(rewards[-4:])
+
+
+def test_a_policy_improves():
+    first, last = mean_reward(learner(), 60_000)
+    assert last > first + 0.02
+
+
+def test_a_policy_that_is_blind_to_what_it_does_cannot_improve():
+    """The same learner, but every car is driven by another one's actions: credit is lost, so must be learning."""
+    race = make(cars=64)
+    honest = race.step
+    race.step = lambda action: honest(action.roll(1, dims=0))  # type: ignore[method-assign]
+    first, last = mean_reward(learner(race), 60_000)
+    assert last < first + 0.01
+
+
+def weights(model):
+    return torch.cat([p.detach().flatten() for p in model.policy.parameters()])
+
+
+def test_the_same_seed_gives_the_same_weights():
+    runs = []
+    for seed in (0, 0, 1):
+        model = learner(make("dr=friction_0.02", cars=64, seeds=[seed]), seed=seed)
+        model.learn(3 * 64 * 32)
+        runs.append(weights(model))
+    assert torch.equal(runs[0], runs[1]) and not torch.equal(runs[0], runs[2])
+
+
+def test_the_learning_rate_follows_the_divergence():
+    model = learner(target_kl=0.01)
+    model._follow_divergence(0.05)
+    lowered = model.rate_factor
+    model._follow_divergence(0.001)
+    assert lowered < 1.0 and model.rate_factor > lowered
+    model._follow_divergence(0.01)
+    assert model.rate_factor > lowered
+
+
+def test_the_paper_budget_is_the_papers():
+    from racerl.config import compose_settings
+
+    budget = construct(Budget, compose_settings("train", ["budget=paper"])["budget"], "budget")
+    assert (budget.steps, budget.cars, budget.rollout, budget.batch) == (120_000_000, 400, 1024, 1024)
+    assert (budget.gamma, budget.epochs, budget.gae_lambda, budget.clip) == (0.99, 10, 0.95, 0.2)
+    assert (budget.learning_rate, budget.final_learning_rate) == (1e-3, 1e-4)
+    model = learner(make(cars=2), cars=2, rollout=8, batch=16, actor=budget.actor, critic=budget.critic)
+    assert [layer.out_features for layer in model.policy.mlp_extractor.policy_net[::2]] == [256, 256]
+    assert [layer.out_features for layer in model.policy.mlp_extractor.value_net[::2]] == [512, 512]
+    assert model.policy.mlp_extractor.policy_net[1].negative_slope == 0.2
+    schedule = model.lr_schedule
+    assert schedule(1.0) == pytest.approx(1e-3) and schedule(0.0) == pytest.approx(1e-3)
+
+
+@pytest.mark.parametrize("change, said", [
+    ({"steps": 0}, "steps"), ({"cars": 1.5}, "cars"), ({"gamma": 1.5}, "gamma"), ({"stpes": 3}, "steps"),
+    ({"learning_rate": -1}, "learning_rate"), ({"learning_rate": "fast"}, "budget"),
+])
+def test_wrong_budgets_are_refused(change, said):
+    with pytest.raises(ConfigError, match=said):
+        construct(Budget, {**SMALL, **change}, "budget")

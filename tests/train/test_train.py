@@ -1,0 +1,148 @@
+"""The train stage: what it writes, that every variant trains, that an interrupted run resumes bit for bit."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from racerl.config import compose_settings
+from racerl.control.policy import load_policy
+from racerl.errors import ConfigError, RunError
+from racerl.run import RunFolder
+from racerl.train import train as stage
+from racerl.train.checkpoint import FILE as CHECKPOINT
+from racerl.train.train import train
+
+SMOKE = ["budget=smoke", "threads=1"]
+
+
+def test_a_finished_run_holds_policy_log_and_manifest(smoke_run):
+    folder = RunFolder.open_complete(smoke_run, "train")
+    assert folder.manifest["steps"] == 2048 and folder.manifest["seed"] == 0 and folder.manifest["threads"] == 1
+    lines = [json.loads(line) for line in (smoke_run / "progress.jsonl").read_text().splitlines()]
+    assert [line["steps"] for line in lines] == [1024, 2048] and "train/reward" in lines[1]
+    assert any((smoke_run / "tensorboard").iterdir()) and not (smoke_run / CHECKPOINT).exists()
+    assert load_policy(smoke_run).sizes == [50, 32, 32, 2]
+    assert folder.settings()["dr"]["sigma"] == 0.02
+    assert str(smoke_run.parent) not in (smoke_run / "manifest.json").read_text()
+
+
+@pytest.mark.parametrize("variant", [
+    "obs=progress", "obs.points=5", "action=speed", "sim=no_actuators", "dr=none", "dr=friction_0.1", "dr=all_0.05",
+    "dr.sigma=0.07", "+vehicle/effect=[tyre_relaxation,aero_drag]", ["action=current", "sim=motor_current"],
+])
+def test_every_variant_trains(variant, tmp_path):
+    overrides = [variant] if isinstance(variant, str) else variant
+    facts = train(compose_settings("train", [*SMOKE, "dr=friction_0.02", "budget.steps=1024", *overrides]), tmp_path / "run")
+    assert facts["steps"] == 1024 and facts["nan_cars"] == 0
+    assert RunFolder.open_complete(tmp_path / "run").manifest["status"] == "complete"
+
+
+def test_an_interrupted_run_resumes_bit_for_bit(smoke_run, tmp_path, monkeypatch):
+    settings = compose_settings("train", [*SMOKE, "dr=friction_0.02"])
+    monkeypatch.setattr(stage, "CHECKPOINT_PERIOD", 0.0)
+
+    class Plug(Exception):
+        pass
+
+    def pull(progress):
+        if progress.steps == 1024:
+            raise Plug
+
+    out = tmp_path / "run"
+    with pytest.raises(Plug):
+        train(settings, out, pull)
+    with pytest.raises(RunError, match="not complete"):
+        RunFolder.open_complete(out)
+    train(settings, out)
+    undisturbed, resumed = load_file(smoke_run / "policy.safetensors"), load_file(out / "policy.safetensors")
+    assert all(torch.equal(undisturbed[name], resumed[name]) for name in undisturbed)
+    steps = {json.loads(line)["steps"] for line in (out / "progress.jsonl").read_text().splitlines()}
+    assert steps == {1024, 2048}
+
+
+def test_a_killed_process_resumes(tmp_path):
+    code = (
+        "import sys; from pathlib import Path; from racerl.train import train as t; t.CHECKPOINT_PERIOD = 0.0;"
+        "from racerl.config import compose_settings as c;"
+        "t.train(c('train', ['budget=smoke', 'threads=1', 'budget.steps=200000']), Path(sys.argv[1]))"
+    )
+    out = tmp_path / "run"
+    job = subprocess.Popen([sys.executable, "-c", code, str(out)])
+    deadline = time.monotonic() + 90
+    log = out / "progress.jsonl"
+    while not (log.exists() and log.read_text().count("\n") >= 4) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    os.kill(job.pid, signal.SIGKILL)
+    job.wait()
+    seen = []
+
+    class Enough(Exception):
+        pass
+
+    def watch(progress):
+        seen.append(progress.steps)
+        raise Enough
+
+    with pytest.raises(Enough):
+        train(compose_settings("train", ["budget=smoke", "threads=1", "budget.steps=200000"]), out, watch)
+    assert seen[0] >= 1024
+
+
+def test_a_damaged_checkpoint_is_named(tmp_path):
+    settings = compose_settings("train", SMOKE)
+    out = tmp_path / "run"
+    RunFolder.start(out, "train", settings)
+    (out / CHECKPOINT).write_bytes(b"\x10" * 64)
+    with pytest.raises(RunError, match="damaged"):
+        train(settings, out)
+
+
+def test_results_are_never_overwritten(smoke_run, tmp_path):
+    settings = compose_settings("train", [*SMOKE, "dr=friction_0.02"])
+    with pytest.raises(RunError, match="already holds this very run"):
+        train(settings, smoke_run)
+    with pytest.raises(RunError, match="another train run"):
+        train({**settings, "seed": 5}, smoke_run)
+    (tmp_path / "precious.txt").write_text("mine")
+    with pytest.raises(RunError, match="not empty"):
+        train(settings, tmp_path)
+    with pytest.raises(RunError, match="is a file"):
+        train(settings, tmp_path / "precious.txt")
+
+
+@pytest.mark.parametrize("change, said", [
+    ({"seed": -1}, "seed"), ({"seed": "x"}, "seed"), ({"threads": 0}, "threads"), ({"device": "tpu"}, "device"),
+])
+def test_wrong_settings_write_nothing(change, said, tmp_path):
+    with pytest.raises(ConfigError, match=said):
+        train({**compose_settings("train", SMOKE), **change}, tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_the_best_policy_is_kept():
+    clean = {"crash_share": 0.0, "valid_laps": 10, "mean_lap_s": 6.0}
+    assert stage.rank(clean) < stage.rank({**clean, "mean_lap_s": 6.1})
+    assert stage.rank(clean) < stage.rank({**clean, "valid_laps": 9, "mean_lap_s": 5.0})
+    assert stage.rank(clean) < stage.rank({**clean, "crash_share": 0.1, "valid_laps": 10, "mean_lap_s": 5.0})
+    assert stage.rank(clean) < stage.rank({**clean, "mean_lap_s": None})
+
+
+@pytest.mark.gpu
+def test_trains_on_a_gpu(tmp_path):
+    facts = train(compose_settings("train", [*SMOKE, "device=cuda"]), tmp_path / "run")
+    assert facts["steps"] == 2048 and RunFolder.open_complete(tmp_path / "run").manifest["device"].startswith("cuda")
+
+
+@pytest.mark.slow
+def test_a_laptop_policy_laps_cleanly(tmp_path):
+    """Minutes: a fifth of the laptop budget must lap without a crash."""
+    settings = compose_settings("train", ["dr=friction_0.02", "budget.steps=900000", "budget.evaluations=2"])
+    facts = train(settings, tmp_path / "run")
+    assert facts["best"]["crash_share"] == 0.0 and facts["best"]["mean_lap_s"] < 8.0
