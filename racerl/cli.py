@@ -60,7 +60,9 @@ def _version(wanted: bool) -> None:
 @app.callback(invoke_without_command=True)
 def options(
     context: typer.Context,
-    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")] = False,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
+    ] = False,
 ) -> None:
     """Learn racing policies for small cars that work on the real car."""
     if context.invoked_subcommand is None:
@@ -135,7 +137,9 @@ def _train(settings: "Settings", out: Path) -> None:
     lap = f"{best['mean_lap_s']:.3f} s" if best["mean_lap_s"] else "none"
     console.print(
         f"{facts['steps']:,} steps in {facts['seconds']:.0f} s; best policy: mean lap {lap}, "
-        f"{best['valid_laps']} of {best['laps']} laps clean", highlight=False, soft_wrap=True,
+        f"{best['valid_laps']} of {best['laps']} laps clean",
+        highlight=False,
+        soft_wrap=True,
     )
     if facts["nan_cars"]:
         console.print(f"warning: the simulation failed (NaN) for {facts['nan_cars']} cars, which were started over")
@@ -161,8 +165,12 @@ def _print_metrics(console: Any, metrics: dict[str, Any]) -> None:
 
     table = Table("fastest valid [s]", "mean [s]", "std [s]", "E_off [m s]", "crashes", "laps", title=metrics["label"])
     table.add_row(
-        text("fastest_valid_lap_s", 3), text("mean_lap_s", 3), text("std_lap_s", 3), text("e_off", 5),
-        f"{metrics['crash_share']:.0%}", str(metrics["laps"]),
+        text("fastest_valid_lap_s", 3),
+        text("mean_lap_s", 3),
+        text("std_lap_s", 3),
+        text("e_off", 5),
+        f"{metrics['crash_share']:.0%}",
+        str(metrics["laps"]),
     )
     console.print(table)
     if metrics["nan_cars"]:

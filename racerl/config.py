@@ -30,8 +30,21 @@ from racerl.errors import ConfigError, DocumentError, suggest
 VERSION_BASE = "1.3"
 FILE_GROUPS = {"track": (".csv", ".yaml", ".yml"), "vehicle": (".yaml", ".yml")}
 OPTIONS = (
-    "--cfg", "-c", "--multirun", "-m", "--info", "-i", "--resolve", "--package", "-p", "--config-dir", "-cd",
-    "--config-name", "-cn", "--hydra-help", "--help",
+    "--cfg",
+    "-c",
+    "--multirun",
+    "-m",
+    "--info",
+    "-i",
+    "--resolve",
+    "--package",
+    "-p",
+    "--config-dir",
+    "-cd",
+    "--config-name",
+    "-cn",
+    "--hydra-help",
+    "--help",
 )
 Settings = dict[str, Any]
 
@@ -138,7 +151,18 @@ def _rewrite(command: str, arguments: Sequence[str], positional: str | None) -> 
             if word.split("=")[0] not in OPTIONS:
                 raise ConfigError(f"unknown option '{word}'{suggest(word, OPTIONS)}")
             overrides.append(word)
-            if word in ("--cfg", "-c", "--info", "-i", "--package", "-p", "--config-dir", "-cd", "--config-name", "-cn"):
+            if word in (
+                "--cfg",
+                "-c",
+                "--info",
+                "-i",
+                "--package",
+                "-p",
+                "--config-dir",
+                "-cd",
+                "--config-name",
+                "-cn",
+            ):
                 overrides += [value for value in [next(words, None)] if value is not None]
         elif positional and ("=" not in word or Path(word).is_dir()):
             bare.append(word)
@@ -208,7 +232,9 @@ def _translate(command: str, error: Exception) -> ConfigError:
     if isinstance(error, OverrideParseException):
         return ConfigError(f"cannot read '{error.override}'; write key=value, with quotes around special characters")
     text = " ".join(str(error).split())
-    key = re.search(r"(?:Could not override|Could not delete from config|Could not append to config)[^']*'([^']+)'", text)
+    key = re.search(
+        r"(?:Could not override|Could not delete from config|Could not append to config)[^']*'([^']+)'", text
+    )
     if key:
         known = [*_keys(OmegaConf.to_container(_compose(command, []), resolve=False)), *default_groups(command)]  # type: ignore[arg-type]
         return ConfigError(f"unknown key '{key[1]}'{suggest(key[1], known)}")

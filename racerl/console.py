@@ -18,9 +18,14 @@ class Bar:
         self.console, self.title = console, title
         self._printed = -PLAIN_PERIOD
         self._progress = Progress(
-            TextColumn("{task.description}"), BarColumn(bar_width=24), TextColumn("{task.percentage:3.0f} %"),
-            TextColumn("{task.fields[remark]}"), TextColumn("left"), TimeRemainingColumn(elapsed_when_finished=True),
-            console=console, disable=not console.is_terminal,
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=24),
+            TextColumn("{task.percentage:3.0f} %"),
+            TextColumn("{task.fields[remark]}"),
+            TextColumn("left"),
+            TimeRemainingColumn(elapsed_when_finished=True),
+            console=console,
+            disable=not console.is_terminal,
         )
         self._task = self._progress.add_task(title, total=1.0, remark="")
 
@@ -28,7 +33,9 @@ class Bar:
         self._progress.start()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         self._progress.stop()
 
     def show(self, share: float, remark: str, seconds_left: float | None = None) -> None:

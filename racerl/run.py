@@ -87,7 +87,9 @@ class RunFolder:
         if (path / MANIFEST).is_file():
             folder = cls._open(path)
             if folder.manifest["config_hash"] != identity or folder.manifest["stage"] != stage:
-                raise RunError(f"out = {path}: already holds another {folder.manifest['stage']} run; choose another out=")
+                raise RunError(
+                    f"out = {path}: already holds another {folder.manifest['stage']} run; choose another out="
+                )
             if folder.manifest["status"] == "complete":
                 raise RunError(f"out = {path}: already holds this very run, complete; choose another out=")
             return folder

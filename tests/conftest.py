@@ -5,16 +5,16 @@ import os
 # one private kernel cache and no user configuration for the whole suite
 os.environ.setdefault("MPLBACKEND", "Agg")
 
-from pathlib import Path  # noqa: E402
-from typing import Any  # noqa: E402
+from pathlib import Path
+from typing import Any
 
-import pytest  # noqa: E402
-import torch  # noqa: E402
+import pytest
+import torch
 
-from racerl.assemble import conf_folder  # noqa: E402
-from racerl.config import compose_settings  # noqa: E402
-from racerl.evaluate.evaluate import evaluate  # noqa: E402
-from racerl.train.train import train  # noqa: E402
+from racerl.assemble import conf_folder
+from racerl.config import compose_settings
+from racerl.evaluate.evaluate import evaluate
+from racerl.train.train import train
 
 CONF = conf_folder()
 

@@ -45,19 +45,22 @@ def test_cfg_job_prints_the_composed_config(tmp_path):
     assert done.returncode == 0 and "sigma: 0.05" in done.stdout and not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("words, said", [
-    (["trian"], "Did you mean 'train'"),
-    (["train", "dr=frction_0.02"], "friction_0.02"),
-    (["train", "bugdet=smoke"], "budget"),
-    (["train", "+colour=red"], "unknown key"),
-    (["train", "--mulitrun"], "--multirun"),
-    (["train", "dr.sigma=wide", "budget=smoke"], "dr.sigma"),
-    (["train", "vehicle.mass=-1"], "0.1"),
-    (["train", "track=nowhere.csv"], "no such file"),
-    (["evaluate"], "run=…"),
-    (["evaluate", "nowhere"], "no racerl run folder"),
-    (["report"], "no finished run"),
-])
+@pytest.mark.parametrize(
+    "words, said",
+    [
+        (["trian"], "Did you mean 'train'"),
+        (["train", "dr=frction_0.02"], "friction_0.02"),
+        (["train", "bugdet=smoke"], "budget"),
+        (["train", "+colour=red"], "unknown key"),
+        (["train", "--mulitrun"], "--multirun"),
+        (["train", "dr.sigma=wide", "budget=smoke"], "dr.sigma"),
+        (["train", "vehicle.mass=-1"], "0.1"),
+        (["train", "track=nowhere.csv"], "no such file"),
+        (["evaluate"], "run=…"),
+        (["evaluate", "nowhere"], "no racerl run folder"),
+        (["report"], "no finished run"),
+    ],
+)
 def test_mistakes_end_with_one_line_and_leave_nothing(words, said, tmp_path):
     done = run(*words, cwd=tmp_path)
     lines = [line for line in done.stderr.splitlines() if line]

@@ -22,8 +22,15 @@ COMPANIONS = {"action=current": ["sim=motor_current"], "sim=motor_current": ["ac
 def test_no_file_is_left_out():
     found = {path.relative_to(CONF).as_posix() for path in CONF.rglob("*.yaml")}
     listed = {f"{choice.replace('=', '/')}.yaml" for choice in CHOICES}
-    rest = {"train.yaml", "evaluate.yaml", "report.yaml", "track/file.yaml", "vehicle/file.yaml", "car/model.yaml",
-            "hydra/racerl.yaml"}
+    rest = {
+        "train.yaml",
+        "evaluate.yaml",
+        "report.yaml",
+        "track/file.yaml",
+        "vehicle/file.yaml",
+        "car/model.yaml",
+        "hydra/racerl.yaml",
+    }
     assert found == listed | rest
 
 
@@ -72,13 +79,25 @@ def test_a_conf_folder_here_shadows_the_packaged_one(tmp_path, monkeypatch):
     assert compose_settings("train", [])["dr"]["sigma"] == 0.01
 
 
-@pytest.mark.parametrize("words, said", [
-    (["dr=frction_0.02"], "friction_0.02"), (["drr=none"], "did you mean dr"), (["budget.stpes=3"], "budget.steps"),
-    (["tarck=l_shape"], "track"), (["+colour=red"], "unknown key 'colour'"), (["~seed"], "seed"),
-    (["vehicle.front.p_Dx=1"], "p_Dx1"), (["seed"], "key=value"), (["seed=[1,"], "cannot read"),
-    (["vehicle.mass=${nowhere}"], "nowhere"), (["track.file=???"], "track.file is missing"),
-    (["+vehicle/effect=aero_drug"], "aero_drag"), (["--mutlirun"], "--multirun"), (["seed=.nan"], "seed"),
-])
+@pytest.mark.parametrize(
+    "words, said",
+    [
+        (["dr=frction_0.02"], "friction_0.02"),
+        (["drr=none"], "did you mean dr"),
+        (["budget.stpes=3"], "budget.steps"),
+        (["tarck=l_shape"], "track"),
+        (["+colour=red"], "unknown key 'colour'"),
+        (["~seed"], "seed"),
+        (["vehicle.front.p_Dx=1"], "p_Dx1"),
+        (["seed"], "key=value"),
+        (["seed=[1,"], "cannot read"),
+        (["vehicle.mass=${nowhere}"], "nowhere"),
+        (["track.file=???"], "track.file is missing"),
+        (["+vehicle/effect=aero_drug"], "aero_drag"),
+        (["--mutlirun"], "--multirun"),
+        (["seed=.nan"], "seed"),
+    ],
+)
 def test_mistakes_are_one_line_with_the_near_choices(words, said):
     with pytest.raises(RacerlError) as error:
         settings = compose_settings("train", words)

@@ -31,11 +31,20 @@ def test_yaml_comes_back(tmp_path):
     assert read_yaml(tmp_path / "a.yaml") == content
 
 
-@pytest.mark.parametrize("text, said", [
-    ("a: &x 1\nb: *x\n", "aliases"), ("a: .nan", "finite"), ("a: .inf", "finite"), ("a: [1, {b: -.inf}]", "finite"),
-    ("a: !!python/object/apply:os.system [ls]", "not valid YAML"), ("- 1", "mapping"), ("a: b: c", "not valid YAML"),
-    ("{" * 3000, "not valid YAML"), ("a: 1\n" + "#" * 2**20, "bytes"),
-])
+@pytest.mark.parametrize(
+    "text, said",
+    [
+        ("a: &x 1\nb: *x\n", "aliases"),
+        ("a: .nan", "finite"),
+        ("a: .inf", "finite"),
+        ("a: [1, {b: -.inf}]", "finite"),
+        ("a: !!python/object/apply:os.system [ls]", "not valid YAML"),
+        ("- 1", "mapping"),
+        ("a: b: c", "not valid YAML"),
+        ("{" * 3000, "not valid YAML"),
+        ("a: 1\n" + "#" * 2**20, "bytes"),
+    ],
+)
 def test_hostile_yaml_is_refused_in_one_line(tmp_path, text, said):
     (tmp_path / "a.yaml").write_text(text)
     with pytest.raises(DocumentError, match=said) as error:

@@ -27,9 +27,15 @@ def test_an_interrupted_run_of_the_same_settings_is_continued(tmp_path):
         RunFolder.start(tmp_path / "a", "evaluate", {"seed": 1})
 
 
-@pytest.mark.parametrize("manifest, said", [
-    ({"format": FORMAT + 1}, "format"), ({"format": FORMAT}, "no 'stage'"), ("[]", "object"), ("{", "JSON"),
-])
+@pytest.mark.parametrize(
+    "manifest, said",
+    [
+        ({"format": FORMAT + 1}, "format"),
+        ({"format": FORMAT}, "no 'stage'"),
+        ("[]", "object"),
+        ("{", "JSON"),
+    ],
+)
 def test_foreign_manifests_are_refused(tmp_path, manifest, said):
     text = manifest if isinstance(manifest, str) else json.dumps(manifest)
     (tmp_path / "manifest.json").write_text(text)

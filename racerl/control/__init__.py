@@ -11,7 +11,9 @@ if TYPE_CHECKING:
 class Controller(Protocol):
     """Chooses actions for all cars of a race."""
 
-    name: str
+    @property
+    def name(self) -> str:
+        """What reports call it."""
 
     def act(self, race: "Race") -> Tensor:
         """Return actions (N, 2) in [−1, 1]."""

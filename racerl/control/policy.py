@@ -65,13 +65,16 @@ def save_policy(policy: Policy, folder: Path, **facts: Any) -> None:
     """Write the policy into a folder, atomically, weights first."""
     weights = {name: tensor.detach().cpu().contiguous() for name, tensor in policy.network.state_dict().items()}
     write_bytes(folder / WEIGHTS, save(weights))
-    write_json(folder / FACTS, {
-        "format": FORMAT,
-        "observation": dict(policy.observation),
-        "action": dict(policy.action),
-        "layers": policy.sizes,
-        **facts,
-    })
+    write_json(
+        folder / FACTS,
+        {
+            "format": FORMAT,
+            "observation": dict(policy.observation),
+            "action": dict(policy.action),
+            "layers": policy.sizes,
+            **facts,
+        },
+    )
 
 
 def load_policy(folder: Path, device: torch.device | str = "cpu") -> Policy:
@@ -86,7 +89,9 @@ def load_policy(folder: Path, device: torch.device | str = "cpu") -> Policy:
     try:
         network.load_state_dict(_read_weights(folder / WEIGHTS))
     except RuntimeError as error:
-        raise PolicyError(f"{folder / WEIGHTS}: does not fit {FACTS} ({str(error).splitlines()[-1].strip()})") from error
+        raise PolicyError(
+            f"{folder / WEIGHTS}: does not fit {FACTS} ({str(error).splitlines()[-1].strip()})"
+        ) from error
     if not all(bool(torch.isfinite(tensor).all()) for tensor in network.state_dict().values()):
         raise PolicyError(f"{folder / WEIGHTS}: holds NaN or infinite weights; train again")
     for key in ("observation", "action"):
@@ -99,7 +104,9 @@ def _sizes(facts: Mapping[str, Any], folder: Path) -> list[int]:
     sizes = facts.get("layers")
     whole = isinstance(sizes, list) and all(isinstance(n, int) and 0 < n <= MAX_UNITS for n in sizes)
     if not whole or not 2 <= len(sizes or []) <= MAX_LAYERS:
-        raise PolicyError(f"{folder / FACTS}: layers = {sizes!r}; a list of 2 … {MAX_LAYERS} positive sizes was expected")
+        raise PolicyError(
+            f"{folder / FACTS}: layers = {sizes!r}; a list of 2 … {MAX_LAYERS} positive sizes was expected"
+        )
     return list(sizes or [])
 
 

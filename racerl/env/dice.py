@@ -4,6 +4,7 @@ With one generator per car, what happens to a car depends on its own seed only, 
 """
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -25,10 +26,10 @@ class Dice:
         return self._draw(torch.randn, rows, mask)
 
     def _draw(self, source: Callable[..., Tensor], rows: int, mask: Tensor) -> Tensor:
-        kind = {"device": self.device, "dtype": self.dtype}
+        kind: dict[str, Any] = {"device": self.device, "dtype": self.dtype}
         if len(self.generators) == 1:
             return source(rows, self.count, generator=self.generators[0], **kind)
-        draws = torch.zeros(rows, self.count, **kind)  # type: ignore[arg-type]
+        draws = torch.zeros(rows, self.count, **kind)
         for car in mask.nonzero().flatten().tolist():
             draws[:, car] = source(rows, generator=self.generators[car], **kind)
         return draws

@@ -30,7 +30,17 @@ log = logging.getLogger(__name__)
 X, Y, YAW, V_X, V_Y, YAW_RATE, DELTA, OMEGA = range(len(STATE))
 # all that the next step depends on, beside the drawn parameters and the generator
 KEPT = (
-    "state", "command", "command_rate", "s", "n", "heading", "margin", "offset", "still_time", "travelled", "age",
+    "state",
+    "command",
+    "command_rate",
+    "s",
+    "n",
+    "heading",
+    "margin",
+    "offset",
+    "still_time",
+    "travelled",
+    "age",
 )
 
 
@@ -219,7 +229,11 @@ class Race:
         )
         log.warning(
             "simulation failed (NaN) for %d of %d cars, started over; car %d: %s; command %s",
-            int(faulty.sum()), self.count, car, state, [round(value, 4) for value in self.command[:, car].tolist()],
+            int(faulty.sum()),
+            self.count,
+            car,
+            state,
+            [round(value, 4) for value in self.command[:, car].tolist()],
         )
 
     def snapshot(self) -> dict[str, Tensor]:

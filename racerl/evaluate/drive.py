@@ -74,5 +74,7 @@ def drive(
         if timer.fewest() >= laps:
             break
     else:
-        log.warning("given up after %.0f s of driving: a car moves at less than %.2f m/s", limit * race.timing.dt, SLOWEST)
+        log.warning(
+            "given up after %.0f s of driving: a car moves at less than %.2f m/s", limit * race.timing.dt, SLOWEST
+        )
     return [lap for car in timer.laps for lap in car[:laps]]

@@ -104,8 +104,16 @@ def track_table(track: Track) -> str:
     """Return centreline and boundaries as CSV."""
     s = np.arange(len(track.x)) * track.spacing
     (left_x, left_y), (right_x, right_y) = track.boundary(1), track.boundary(-1)
-    columns = {"s_m": s, "x_m": track.x, "y_m": track.y, "left_x_m": left_x, "left_y_m": left_y,
-               "right_x_m": right_x, "right_y_m": right_y, "curvature_1_m": track.curvature}
+    columns = {
+        "s_m": s,
+        "x_m": track.x,
+        "y_m": track.y,
+        "left_x_m": left_x,
+        "left_y_m": left_y,
+        "right_x_m": right_x,
+        "right_y_m": right_y,
+        "curvature_1_m": track.curvature,
+    }
     return pd.DataFrame(columns).to_csv(index=False, float_format="%.5f")
 
 

@@ -54,11 +54,11 @@ class LapTimer:
         self._e_off += off * self.dt
         self._furthest = np.maximum(self._furthest, off)
         line = self._line * self.length
-        for car in np.flatnonzero(crashed):
+        for car in np.flatnonzero(crashed).tolist():
             self._close(car, None)
             self._open(car, None)
             self._line[car] = np.floor(restart[car] / self.length) + 1.0
-        for car in np.flatnonzero((after >= line) & ~crashed):
+        for car in np.flatnonzero((after >= line) & ~crashed).tolist():
             share = (line[car] - before[car]) / (after[car] - before[car])
             crossing = self._time + self.dt * float(share)
             if self._start[car] is not None:
@@ -73,20 +73,22 @@ class LapTimer:
 
     def _close(self, car: int, end: float | None) -> None:
         start = self._start[car]
-        self.laps[car].append(Lap(
-            car=int(car),
-            number=len(self.laps[car]) + 1,
-            time_s=None if end is None or start is None else end - start,
-            e_off=float(self._e_off[car]),
-            max_off_track_m=float(self._furthest[car]),
-            crashed=end is None,
-        ))
+        self.laps[car].append(
+            Lap(
+                car=car,
+                number=len(self.laps[car]) + 1,
+                time_s=None if end is None or start is None else end - start,
+                e_off=float(self._e_off[car]),
+                max_off_track_m=float(self._furthest[car]),
+                crashed=end is None,
+            )
+        )
 
     def current(self) -> NDArray[np.int_]:
         """Return the number of the flying lap that each car is on, 0 on the way to the line; shape (N,)."""
-        return np.array([
-            0 if start is None else len(laps) + 1 for start, laps in zip(self._start, self.laps, strict=True)
-        ])
+        return np.array(
+            [0 if start is None else len(laps) + 1 for start, laps in zip(self._start, self.laps, strict=True)]
+        )
 
     def fewest(self) -> int:
         """Return the smallest number of laps that any car has driven."""

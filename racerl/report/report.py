@@ -16,11 +16,20 @@ from racerl.run import RunFolder
 PAGE = "report.html"
 FIGURES = (
     ("racing_line", racing_line.draw, "Racing line", "Fastest lap over the track, coloured by speed."),
-    ("channels", channels.draw, "Speed, steering and offset", "Fastest lap over the track coordinate; n is positive to "
-     "the left, the black lines are the boundaries."),
+    (
+        "channels",
+        channels.draw,
+        "Speed, steering and offset",
+        "Fastest lap over the track coordinate; n is positive to the left, the black lines are the boundaries.",
+    ),
     ("lap_times", lap_times.draw, "Lap times", "Every finished lap; the box spans the quartiles."),
-    ("learning_curve", learning_curve.draw, "Learning", "Reward per control step of the noisy training policy, and laps "
-     "of the noise-free policy in cars of the training's randomization."),
+    (
+        "learning_curve",
+        learning_curve.draw,
+        "Learning",
+        "Reward per control step of the noisy training policy, and laps "
+        "of the noise-free policy in cars of the training's randomization.",
+    ),
 )
 
 
@@ -35,7 +44,9 @@ def report(settings: Mapping[str, Any], out: Path, outputs: Path = Path("outputs
         if svg is not None:
             write_text(folder.path / f"{name}.svg", svg)
             figures.append({"title": title, "caption": caption, "data": base64.b64encode(svg.encode()).decode()})
-    environment = jinja2.Environment(loader=jinja2.PackageLoader("racerl.report", "."), autoescape=True, trim_blocks=True)
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("racerl.report", "."), autoescape=True, trim_blocks=True
+    )
     page = environment.get_template("page.html.j2").render(
         rows=[*map(_row, subjects), *_paper_rows()],
         figures=figures,
@@ -93,7 +104,10 @@ def _remarks(subjects: Sequence[Subject]) -> list[str]:
         f"{subject.name} has not been raced: racerl evaluate RUN" for subject in subjects if subject.evaluation is None
     ]
     for subject in subjects:
-        for stage, facts in (("training", subject.training), ("evaluation", subject.evaluation and subject.evaluation.manifest)):
+        for stage, facts in (
+            ("training", subject.training),
+            ("evaluation", subject.evaluation and subject.evaluation.manifest),
+        ):
             if facts and facts.get("nan_cars"):
                 remarks.append(f"{subject.name}: the simulation failed (NaN) {facts['nan_cars']} times in {stage}")
     return remarks
@@ -106,7 +120,9 @@ def _provenance(subject: Subject) -> list[dict[str, Any]]:
             "name": subject.name,
             "torch": manifest.get("libraries", {}).get("torch", "–"),
             "git_sha": (manifest.get("git_sha") or "–")[:18],
-            **{key: manifest.get(key, "–") for key in ("stage", "seed", "steps", "seconds", "threads", "device", "cpu")},
+            **{
+                key: manifest.get(key, "–") for key in ("stage", "seed", "steps", "seconds", "threads", "device", "cpu")
+            },
         }
         for manifest in manifests
         if manifest

@@ -67,7 +67,7 @@ def find_subjects(paths: list[Path], outputs: Path) -> list[Subject]:
     subjects = []
     for run_id, run in training.items():
         own = [folder for folder in chosen if folder.manifest.get("train_run_id") == run_id]
-        folders = own or ([newest[run_id]] if run_id in newest else [None])
+        folders: list[RunFolder | None] = [*own] or [newest.get(run_id)]
         subjects += [_subject(run, folder) for folder in folders]
         chosen = [folder for folder in chosen if folder not in own]
     if not given:
@@ -120,7 +120,9 @@ def _read_evaluation(folder: RunFolder) -> Evaluation:
         raise RunError(f"{folder.path}: is damaged ({' '.join(str(error).split())}); evaluate again") from error
     missing = [name for name in NEEDED if name not in drive]
     if missing or not sound or "curvature_1_m" not in track:
-        raise RunError(f"{folder.path}: is damaged (fields {', '.join(missing) or 'of the metrics'} missing); evaluate again")
+        raise RunError(
+            f"{folder.path}: is damaged (fields {', '.join(missing) or 'of the metrics'} missing); evaluate again"
+        )
     if not all(math.isfinite(value) for value in drive[list(NEEDED)].to_numpy().ravel()[:: max(1, len(drive) // 1000)]):
         raise RunError(f"{folder.path}: holds NaN; evaluate again")
     return Evaluation(folder.path, folder.manifest, metrics, drive, track)

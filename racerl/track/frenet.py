@@ -47,7 +47,9 @@ class FrenetFrame:
         self.count = len(track.x)
         self.x, self.y, self.yaw = table(track.x), table(track.y), table(track.yaw)
         self.curvature, self.width_left, self.width_right = (
-            table(track.curvature), table(track.width_left), table(track.width_right)
+            table(track.curvature),
+            table(track.width_left),
+            table(track.width_right),
         )
         cells = min(round(REACH / self.spacing), (self.count - 1) // 2)
         self._window = torch.arange(-cells, cells + 1, device=device)

@@ -93,7 +93,8 @@ def _checked_against(free: "_FreeSpace", track: Track, swapped: Any) -> Track:
     other_way = np.mean(np.abs(right - track.width_left) + np.abs(left - track.width_right))
     if other_way + SWAP_EVIDENCE < as_given:
         log.warning(
-            "track %s: widths fit the image %.2f m better with left before right; swapped", track.name,
+            "track %s: widths fit the image %.2f m better with left before right; swapped",
+            track.name,
             as_given - other_way,
         )
         return swapped()

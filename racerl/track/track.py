@@ -1,7 +1,8 @@
 """A closed centreline with widths on both sides, tabulated finely over arc length.
 
 The centreline is a periodic quintic spline that passes the given points within a rounding error of `SMOOTHING` (rms),
-so that curvature and its slope are continuous; it is sampled every `SPACING` metres. Curvature κ is positive to the left; the lateral offset n is positive to the left of the line.
+so that curvature and its slope are continuous; it is sampled every `SPACING` metres. Curvature κ is positive to the
+left; the lateral offset n is positive to the left of the line.
 """
 
 from dataclasses import dataclass

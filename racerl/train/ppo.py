@@ -51,7 +51,7 @@ class Budget:
             if getattr(self, name) < 1 or int(getattr(self, name)) != getattr(self, name):
                 raise ConfigError(f"budget.{name} = {getattr(self, name)}: allowed is a whole number, at least 1")
         for name in ("learning_rate", "final_learning_rate", "clip", "gradient_norm", "initial_std"):
-            if not 0 < getattr(self, name):
+            if not getattr(self, name) > 0:
                 raise ConfigError(f"budget.{name} = {getattr(self, name)}: allowed is more than 0")
         for name in ("gamma", "gae_lambda"):
             if not 0 <= getattr(self, name) <= 1:
@@ -154,6 +154,7 @@ class RacePPO(PPO):
         clip = self.budget.clip
         policy_loss = -torch.minimum(advantages * ratio, advantages * ratio.clamp(1 - clip, 1 + clip)).mean()
         value_loss = nn.functional.mse_loss(values.flatten(), batch.returns)
+        assert entropy is not None  # noqa: S101 (a Gaussian policy has one in closed form)
         loss = policy_loss + self.vf_coef * value_loss - self.ent_coef * entropy.mean()
         self.policy.optimizer.zero_grad()
         loss.backward()

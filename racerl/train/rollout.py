@@ -48,7 +48,12 @@ class Rollout:
     def minibatches(self, size: int, generator: torch.Generator) -> Iterator[Minibatch]:
         """Yield all samples once, in random order, in minibatches; a smaller remainder is left out."""
         tables = (
-            self.observations, self.actions, self.log_probs, self.values, self.advantages, self.returns,
+            self.observations,
+            self.actions,
+            self.log_probs,
+            self.values,
+            self.advantages,
+            self.returns,
         )
         flat = [table.flatten(0, 1) for table in tables]
         total = self.steps * self.cars

@@ -1,8 +1,8 @@
 """The train stage: PPO on the configured race, evaluated on the way, the best policy kept.
 
-Writes into its run folder: `policy.safetensors` and `policy.json` (the best policy by evaluation), `progress.jsonl` (one
-line per update and per evaluation, append-only), `tensorboard/`, and while it runs `checkpoint.safetensors`. An
-interrupted run continues from its checkpoint, bit for bit, when it is started again with the same settings.
+Writes into its run folder: `policy.safetensors` and `policy.json` (the best policy by evaluation), `progress.jsonl`
+(one line per update, append-only), `tensorboard/`, and while it runs `checkpoint.safetensors`. An interrupted run
+continues from its checkpoint, bit for bit, when it is started again with the same settings.
 """
 
 import json
@@ -104,9 +104,7 @@ class Examiner:
     def __init__(self, settings: Mapping[str, Any], device: torch.device) -> None:
         unlimited = {**settings, "sim": {**settings["sim"], "max_steps": 2**31}}
         self.seeds = [EVALUATION_SEED + i for i in range(EVALUATION_CARS)]
-        self.race = build_race(
-            unlimited, cars=EVALUATION_CARS, seeds=self.seeds, device=device, termination=Crash()
-        )
+        self.race = build_race(unlimited, cars=EVALUATION_CARS, seeds=self.seeds, device=device, termination=Crash())
 
     def examine(self, policy: Policy) -> dict[str, Any]:
         """Return the score of a flying lap of each car."""
@@ -124,7 +122,10 @@ class Trainer(BaseCallback):
     """Evaluates, keeps the best policy, writes checkpoints and reports, always at the start of a rollout."""
 
     def __init__(
-        self, folder: RunFolder, examiner: Examiner, settings: Mapping[str, Any],
+        self,
+        folder: RunFolder,
+        examiner: Examiner,
+        settings: Mapping[str, Any],
         on_progress: Callable[[Progress], None],
     ) -> None:
         super().__init__()
@@ -160,14 +161,16 @@ class Trainer(BaseCallback):
         if time.perf_counter() - self._saved > CHECKPOINT_PERIOD:
             self.save()
         elapsed = time.perf_counter() - self._began
-        self.on_progress(Progress(
-            steps=self.model.num_timesteps,
-            total_steps=budget.steps,
-            seconds=self.seconds,
-            steps_per_s=(self.model.num_timesteps - self._first_step) / max(elapsed, 1e-9),
-            reward=float(self.model.rollout.rewards.mean()),
-            evaluation=self.last,
-        ))
+        self.on_progress(
+            Progress(
+                steps=self.model.num_timesteps,
+                total_steps=budget.steps,
+                seconds=self.seconds,
+                steps_per_s=(self.model.num_timesteps - self._first_step) / max(elapsed, 1e-9),
+                reward=float(self.model.rollout.rewards.mean()),
+                evaluation=self.last,
+            )
+        )
 
     def save(self) -> None:
         """Write a checkpoint."""

@@ -31,7 +31,7 @@ from racerl.vehicle.vehicle import STATE, Vehicle
 log = logging.getLogger(__name__)
 
 LANES = 16
-# fast-math lets the compiler take the vector versions of sin, atan, …; NaN still spreads through sums (a test holds it).
+# fast-math lets the compiler take the vector versions of sin, atan, …; NaN still spreads through sums.
 # cos is written as a shifted sin: sin and cos of one angle would be fused to a complex exponential, which has none.
 FLAGS = ("-O3", "-march=native", "-ffast-math", "-fopenmp-simd", "-fPIC")
 TOLERANCE = 1e-4  # of the check at start-up, relative to the size of each state
@@ -125,7 +125,12 @@ class CompiledMotion:
         state, command, parameters = state.contiguous(), command.contiguous(), parameters.contiguous()
         out = torch.empty_like(state)
         self._advance(
-            state.data_ptr(), command.data_ptr(), parameters.data_ptr(), out.data_ptr(), state.shape[1], self.steps,
+            state.data_ptr(),
+            command.data_ptr(),
+            parameters.data_ptr(),
+            out.data_ptr(),
+            state.shape[1],
+            self.steps,
             self.dt,
         )
         return out
@@ -174,21 +179,36 @@ def _statements(function: Any) -> list[str]:
     import casadi
 
     forms = {
-        casadi.OP_ASSIGN: "{0}", casadi.OP_ADD: "{0} + {1}", casadi.OP_SUB: "{0} - {1}", casadi.OP_MUL: "{0} * {1}",
-        casadi.OP_DIV: "{0} / {1}", casadi.OP_NEG: "-{0}", casadi.OP_EXP: "expf({0})", casadi.OP_SQ: "{0} * {0}",
-        casadi.OP_TWICE: "2 * {0}", casadi.OP_INV: "1 / {0}", casadi.OP_SIN: "sinf({0})", casadi.OP_COS: f"sinf({{0}} + {math.pi / 2!r}f)",
-        casadi.OP_ATAN: "atanf({0})", casadi.OP_TANH: "tanhf({0})", casadi.OP_FABS: "fabsf({0})",
-        casadi.OP_SQRT: "sqrtf({0})", casadi.OP_LT: "(float)({0} < {1})", casadi.OP_LE: "(float)({0} <= {1})",
-        casadi.OP_EQ: "(float)({0} == {1})", casadi.OP_NE: "(float)({0} != {1})", casadi.OP_NOT: "(float)({0} == 0)",
-        casadi.OP_SIGN: "(float)(({0} > 0) - ({0} < 0))", casadi.OP_FMIN: "({0} < {1} ? {0} : {1})",
-        casadi.OP_FMAX: "({0} > {1} ? {0} : {1})", casadi.OP_IF_ELSE_ZERO: "({0} != 0 ? {1} : 0)",
+        casadi.OP_ASSIGN: "{0}",
+        casadi.OP_ADD: "{0} + {1}",
+        casadi.OP_SUB: "{0} - {1}",
+        casadi.OP_MUL: "{0} * {1}",
+        casadi.OP_DIV: "{0} / {1}",
+        casadi.OP_NEG: "-{0}",
+        casadi.OP_EXP: "expf({0})",
+        casadi.OP_SQ: "{0} * {0}",
+        casadi.OP_TWICE: "2 * {0}",
+        casadi.OP_INV: "1 / {0}",
+        casadi.OP_SIN: "sinf({0})",
+        casadi.OP_COS: f"sinf({{0}} + {math.pi / 2!r}f)",
+        casadi.OP_ATAN: "atanf({0})",
+        casadi.OP_TANH: "tanhf({0})",
+        casadi.OP_FABS: "fabsf({0})",
+        casadi.OP_SQRT: "sqrtf({0})",
+        casadi.OP_LT: "(float)({0} < {1})",
+        casadi.OP_LE: "(float)({0} <= {1})",
+        casadi.OP_EQ: "(float)({0} == {1})",
+        casadi.OP_NE: "(float)({0} != {1})",
+        casadi.OP_NOT: "(float)({0} == 0)",
+        casadi.OP_SIGN: "(float)(({0} > 0) - ({0} < 0))",
+        casadi.OP_FMIN: "({0} < {1} ? {0} : {1})",
+        casadi.OP_FMAX: "({0} > {1} ? {0} : {1})",
+        casadi.OP_IF_ELSE_ZERO: "({0} != 0 ? {1} : 0)",
     }
     arrays = ("x", "u", "p")
     lines = [f"        float {', '.join(f'w{i}' for i in range(function.sz_w()))};"]
     for k in range(function.n_instructions()):
-        operation, to, of = (
-            function.instruction_id(k), function.instruction_output(k), function.instruction_input(k)
-        )
+        operation, to, of = (function.instruction_id(k), function.instruction_output(k), function.instruction_input(k))
         if operation == casadi.OP_CONST:
             line = f"w{to[0]} = {function.instruction_constant(k)!r}f"
         elif operation == casadi.OP_INPUT:
@@ -208,7 +228,9 @@ def cache_folder() -> Path:
 
 def _build(code: str) -> ctypes.CDLL | None:
     """Compile the source, or take it from the cache; None (and a line in the log) when that is not possible."""
-    compiler = next((path for name in (os.environ.get("CC"), "cc", "gcc", "clang") if name and (path := shutil.which(name))), None)
+    compiler = next(
+        (path for name in (os.environ.get("CC"), "cc", "gcc", "clang") if name and (path := shutil.which(name))), None
+    )
     if compiler is None:
         log.warning("no C compiler found; simulating on torch, several times slower (install gcc to change that)")
         return None

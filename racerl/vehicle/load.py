@@ -27,7 +27,7 @@ def load_vehicle(settings: Mapping[str, Any], drive: str = "wheel_speed", actuat
         settings = {**read_yaml(Path(settings["file"])), **{k: v for k, v in settings.items() if k != "file"}}
     if drive not in DRIVES:
         raise VehicleError(f"unknown drive mode '{drive}'{suggest(drive, DRIVES)}")
-    parts = {}
+    parts: dict[str, Any] = {}
     for name, cls in COMPONENTS.items():
         if name not in settings:
             raise VehicleError(f"vehicle: section '{name}' is missing; copy it from conf/vehicle/f1tenth.yaml")
@@ -66,5 +66,3 @@ def _load_effects(settings: Mapping[str, Any]) -> dict[str, Effect]:
         name: build(registry.lookup(effects_package, name), parameters or {}, f"vehicle.effects.{name}")
         for name, parameters in settings.items()
     }
-
-

@@ -28,8 +28,10 @@ class Parameter:
 def parameter(unit: str, low: float, high: float, meaning: str, default: float | None = None) -> Any:
     """Declare a dataclass field as a parameter; without a default it has to be given."""
     metadata = {"parameter": Parameter(unit, low, high, meaning)}
-    return dataclasses.field(metadata=metadata) if default is None else dataclasses.field(
-        default=default, metadata=metadata
+    return (
+        dataclasses.field(metadata=metadata)
+        if default is None
+        else dataclasses.field(default=default, metadata=metadata)
     )
 
 
@@ -82,7 +84,9 @@ def _replace_items(items: Mapping[str, Any], changes: Mapping[str, Scalar]) -> d
 def check_value(name: str, specification: Parameter, value: Any) -> float:
     """Return the value as a float; raise VehicleError when it is no number or outside its bounds."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise VehicleError(f"{name}: {value!r} is not a number ({specification.meaning}, {specification.unit or 'no unit'})")
+        raise VehicleError(
+            f"{name}: {value!r} is not a number ({specification.meaning}, {specification.unit or 'no unit'})"
+        )
     if not specification.low <= value <= specification.high:
         allowed = f"{specification.low:g} … {specification.high:g} {specification.unit}".rstrip()
         raise VehicleError(f"{name} = {value:g}: allowed is {allowed} ({specification.meaning})")
@@ -100,6 +104,9 @@ def build(cls: type[Component], settings: Any, where: str) -> Component:
     missing = [key for key, field in fields.items() if field.default is dataclasses.MISSING and key not in settings]
     if missing:
         raise VehicleError(f"{where}: {', '.join(missing)} missing; give a value for each")
-    return cls(**{
-        key: check_value(f"{where}.{key}", fields[key].metadata["parameter"], value) for key, value in settings.items()
-    })
+    return cls(
+        **{
+            key: check_value(f"{where}.{key}", fields[key].metadata["parameter"], value)
+            for key, value in settings.items()
+        }
+    )

@@ -76,9 +76,7 @@ class MagicFormula:
     r_Vy5: Scalar = parameter("", -10.0, 10.0, "its shape over κ", 0.0)
     r_Vy6: Scalar = parameter("", -50.0, 50.0, "its slope over κ", 0.0)
 
-    def forces(
-        self, kappa: Scalar, alpha: Scalar, F_z: Scalar, friction: Scalar, ops: Ops
-    ) -> tuple[Scalar, Scalar]:
+    def forces(self, kappa: Scalar, alpha: Scalar, F_z: Scalar, friction: Scalar, ops: Ops) -> tuple[Scalar, Scalar]:
         """Return (F_x, F_y) in N for slip ratio κ, α* = tan α, load F_z in N and friction scale λ_μ."""
         df_z = (F_z - self.F_z0) / self.F_z0  # 4.E2a
         F_x0 = self.longitudinal(kappa, F_z, df_z, friction, ops)
@@ -97,9 +95,7 @@ class MagicFormula:
         S_Vx = F_z * (self.p_Vx1 + self.p_Vx2 * df_z) * friction
         return D_x * ops.sin(magic_angle(K_x / (self.p_Cx1 * D_x), self.p_Cx1, E_x, kappa_x, ops)) + S_Vx
 
-    def lateral(
-        self, alpha: Scalar, F_z: Scalar, df_z: Scalar, friction: Scalar, ops: Ops
-    ) -> tuple[Scalar, Scalar]:
+    def lateral(self, alpha: Scalar, F_z: Scalar, df_z: Scalar, friction: Scalar, ops: Ops) -> tuple[Scalar, Scalar]:
         """Return the pure-slip force F_y0 and the friction μ_y (4.E19–4.E30)."""
         alpha_y = alpha + self.p_Hy1 + self.p_Hy2 * df_z
         mu_y = (self.p_Dy1 + self.p_Dy2 * df_z) * friction

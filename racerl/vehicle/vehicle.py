@@ -161,14 +161,16 @@ class Vehicle:
             wrench = effect.wrench(wrench, motion, ops)
 
         sin_yaw, cos_yaw = ops.sin(yaw), ops.cos(yaw)
-        return ops.stack([
-            v_x * cos_yaw - v_y * sin_yaw,
-            v_x * sin_yaw + v_y * cos_yaw,
-            yaw_rate,
-            wrench.F_x / self.mass + v_y * yaw_rate,
-            wrench.F_y / self.mass - v_x * yaw_rate,
-            wrench.M_z / self.yaw_inertia,
-            self.steering.rate(delta, delta_ref, traction, ops),
-            self.drive.rate(omega, drive_ref, traction, ops),
-            *(rate for effect in self.effects.values() for rate in effect.rates(steady, motion, ops)),
-        ])
+        return ops.stack(
+            [
+                v_x * cos_yaw - v_y * sin_yaw,
+                v_x * sin_yaw + v_y * cos_yaw,
+                yaw_rate,
+                wrench.F_x / self.mass + v_y * yaw_rate,
+                wrench.F_y / self.mass - v_x * yaw_rate,
+                wrench.M_z / self.yaw_inertia,
+                self.steering.rate(delta, delta_ref, traction, ops),
+                self.drive.rate(omega, drive_ref, traction, ops),
+                *(rate for effect in self.effects.values() for rate in effect.rates(steady, motion, ops)),
+            ]
+        )

@@ -37,11 +37,19 @@ def edit(folder, **changes):
     (folder / FACTS).write_text(json.dumps({**facts, **changes}))
 
 
-@pytest.mark.parametrize("change, said", [
-    ({"format": 99}, "format 99"), ({"layers": [6, 9, 2]}, "does not fit"), ({"layers": "many"}, "layers"),
-    ({"layers": [6, -8, 2]}, "layers"), ({"layers": [6, 10**9, 2]}, "layers"), ({"observation": 3}, "observation"),
-    ({"layers": [6]}, "layers"), ({"layers": [6.5, 2]}, "layers"),
-])
+@pytest.mark.parametrize(
+    "change, said",
+    [
+        ({"format": 99}, "format 99"),
+        ({"layers": [6, 9, 2]}, "does not fit"),
+        ({"layers": "many"}, "layers"),
+        ({"layers": [6, -8, 2]}, "layers"),
+        ({"layers": [6, 10**9, 2]}, "layers"),
+        ({"observation": 3}, "observation"),
+        ({"layers": [6]}, "layers"),
+        ({"layers": [6.5, 2]}, "layers"),
+    ],
+)
 def test_wrong_facts_are_refused(folder, change, said):
     edit(folder, **change)
     with pytest.raises(PolicyError, match=said) as error:

@@ -48,11 +48,18 @@ def test_every_module_is_found_and_builds(package):
         assert registry.create(package, {"name": name}) is not None
 
 
-@pytest.mark.parametrize("settings, said", [
-    ({"name": "geometrc"}, "geometric"), ({}, "name"), ({"name": "geometric", "point": 3}, "points"),
-    ({"name": "geometric", "points": 0}, "points"), ({"name": "os.system"}, "unknown"), ({"name": 3}, "unknown"),
-    ({"name": "geometric", "points": "many"}, "geometric"),
-])
+@pytest.mark.parametrize(
+    "settings, said",
+    [
+        ({"name": "geometrc"}, "geometric"),
+        ({}, "name"),
+        ({"name": "geometric", "point": 3}, "points"),
+        ({"name": "geometric", "points": 0}, "points"),
+        ({"name": "os.system"}, "unknown"),
+        ({"name": 3}, "unknown"),
+        ({"name": "geometric", "points": "many"}, "geometric"),
+    ],
+)
 def test_wrong_settings_are_named(settings, said):
     with pytest.raises(ConfigError, match=said):
         registry.create(observations, settings)

@@ -166,10 +166,15 @@ def test_the_two_drive_modes_do_not_mix():
     assert float(race.v_x) > 1.3
 
 
-@pytest.mark.parametrize("change, said", [
-    ({"dt": 0.05, "step": 0.03}, "multiple"), ({"dt": 0.0}, "dt"), ({"max_steps": 0}, "max_steps"),
-    ({"step": 0.1}, "step"),
-])
+@pytest.mark.parametrize(
+    "change, said",
+    [
+        ({"dt": 0.05, "step": 0.03}, "multiple"),
+        ({"dt": 0.0}, "dt"),
+        ({"max_steps": 0}, "max_steps"),
+        ({"step": 0.1}, "step"),
+    ],
+)
 def test_timing_is_checked(change, said):
     with pytest.raises(ConfigError, match=said):
         dataclasses.replace(Timing(), **change)

@@ -58,9 +58,14 @@ def test_randomized_friction_changes_the_drive():
     assert (race.state[5][order].diff() >= -1e-5).all()  # more friction, more yaw rate
 
 
-@pytest.mark.parametrize("override, said", [
-    ("dr.parameters=[fricton]", "friction"), ("dr.sigma=2", "0 … 1"), ("dr.sigma=-0.1", "0 … 1"),
-])
+@pytest.mark.parametrize(
+    "override, said",
+    [
+        ("dr.parameters=[fricton]", "friction"),
+        ("dr.sigma=2", "0 … 1"),
+        ("dr.sigma=-0.1", "0 … 1"),
+    ],
+)
 def test_wrong_randomization_is_refused(override, said):
     with pytest.raises(ConfigError, match=said):
         make("dr=friction_0.02", override)

@@ -46,7 +46,9 @@ def test_the_log_is_a_drive_log():
     recorder = Recorder(race, [0])
     drive(race, Follower(), 1, recorder)
     log = recorder.log()
-    assert {"t", "run", "x", "y", "yaw", "v_x", "v_y", "yaw_rate", "delta", "omega", "delta_ref", "omega_ref"} <= set(log)
+    assert {"t", "run", "x", "y", "yaw", "v_x", "v_y", "yaw_rate", "delta", "omega", "delta_ref", "omega_ref"} <= set(
+        log
+    )
     for _, run in log.groupby("run"):
         assert np.allclose(run["t"].diff().dropna(), 0.05)
     step = log[log["run"] == log["run"].iloc[0]]
@@ -60,8 +62,13 @@ def test_a_car_that_creeps_is_given_up(caplog):
         name = "creeper"
 
         def act(self, race):
-            return torch.stack([0.66 * race.frame.lookup(race.frame.curvature, race.s + 0.1) - 2.4 * race.n
-                                - 2.0 * race.heading, 5 * (0.15 - race.omega)], dim=1)
+            return torch.stack(
+                [
+                    0.66 * race.frame.lookup(race.frame.curvature, race.s + 0.1) - 2.4 * race.n - 2.0 * race.heading,
+                    5 * (0.15 - race.omega),
+                ],
+                dim=1,
+            )
 
     race = make("sim.max_steps=1000000", cars=1, termination=Crash())
     assert drive(race, Creeper(), 1) == [] and "given up" in caplog.text
@@ -69,8 +76,20 @@ def test_a_car_that_creeps_is_given_up(caplog):
 
 def test_metrics_and_files(smoke_evaluation):
     metrics = json.loads((smoke_evaluation / "metrics.json").read_text())
-    for key in ("laps", "fastest_valid_lap_s", "mean_lap_s", "std_lap_s", "e_off", "crash_share", "max_off_track_m",
-                "rows", "car", "controller", "seed", "git_sha"):
+    for key in (
+        "laps",
+        "fastest_valid_lap_s",
+        "mean_lap_s",
+        "std_lap_s",
+        "e_off",
+        "crash_share",
+        "max_off_track_m",
+        "rows",
+        "car",
+        "controller",
+        "seed",
+        "git_sha",
+    ):
         assert key in metrics
     assert metrics["laps"] == len(metrics["rows"]) == 4 and metrics["car"] == "model"
     assert {row["seed"] for row in metrics["rows"]} == {0, 1}
@@ -94,9 +113,16 @@ def test_the_driven_car_has_actuators_whatever_it_was_trained_with():
     assert "no actuator model" in label(trained) and "all σ = 0.1" in label(trained)
 
 
-@pytest.mark.parametrize("override, said", [
-    ("laps=0", "laps"), ("laps=1.5", "laps"), ("seeds=[]", "seeds"), ("seeds=[-1]", "seeds"), ("run=nowhere", "no racerl run"),
-])
+@pytest.mark.parametrize(
+    "override, said",
+    [
+        ("laps=0", "laps"),
+        ("laps=1.5", "laps"),
+        ("seeds=[]", "seeds"),
+        ("seeds=[-1]", "seeds"),
+        ("run=nowhere", "no racerl run"),
+    ],
+)
 def test_wrong_settings(override, said, smoke_run, tmp_path):
     with pytest.raises(RacerlError, match=said):
         evaluate(compose_settings("evaluate", [f"run='{smoke_run}'", override]), tmp_path / "out")

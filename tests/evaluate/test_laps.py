@@ -1,5 +1,7 @@
 """Lap timing and scoring on made-up drives whose laps are known."""
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -60,7 +62,7 @@ def test_a_crash_on_the_way_to_the_line_is_a_lap_driven():
 def test_driving_back_over_the_line_times_no_lap():
     timer = LapTimer(10.0, DT, np.array([9.5]))
     path = [9.5, 10.2, 9.6, 10.3, 15.0, 20.5]
-    for before, after in zip(path[:-1], path[1:], strict=True):
+    for before, after in itertools.pairwise(path):
         timer.update(*(np.array([v]) for v in (before, after, 1.0)), np.array([False]), np.array([after]))
     assert len(timer.laps[0]) == 1
 

@@ -71,9 +71,15 @@ def test_incomplete_runs_are_left_out(raced, tmp_path):
     assert not (tmp_path / "report").exists()
 
 
-@pytest.mark.parametrize("file, content", [
-    ("metrics.json", "{}"), ("metrics.json", "[1"), ("trajectories.parquet", "x"), ("track.csv", ""),
-])
+@pytest.mark.parametrize(
+    "file, content",
+    [
+        ("metrics.json", "{}"),
+        ("metrics.json", "[1"),
+        ("trajectories.parquet", "x"),
+        ("track.csv", ""),
+    ],
+)
 def test_damaged_evaluations_are_named(raced, tmp_path, file, content):
     (raced / "evaluate" / "smoke" / file).write_text(content)
     with pytest.raises(RunError, match="damaged"):
@@ -101,4 +107,6 @@ def test_the_papers_values_are_the_papers():
     table = paper_values.table_1().set_index("name")
     assert table.loc["rl_geometric", "fastest_valid_lap_s"] == 5.561 and table.loc["mpc", "e_off"] == 0.00083
     assert set(table.index) == set(paper_values.NAMES)
-    assert set(paper_values.figure_6("speed")) == {"driver", "s_m", "v_x"} and len(paper_values.figure_6("lines", "human"))
+    assert set(paper_values.figure_6("speed")) == {"driver", "s_m", "v_x"} and len(
+        paper_values.figure_6("lines", "human")
+    )

@@ -75,12 +75,14 @@ def test_a_car_does_not_jump_across_the_infield():
     """Two straights 0.9 m apart: crossing to the other one counts as leaving the own one."""
     straight = np.arange(0, 10, 0.1)
     turn = np.linspace(-np.pi / 2, np.pi / 2, 16)[1:-1]
-    points = np.concatenate([
-        np.stack([straight, 0 * straight], axis=1),
-        np.stack([10 + 0.45 * np.cos(turn), 0.45 + 0.45 * np.sin(turn)], axis=1),
-        np.stack([straight[::-1], 0 * straight + 0.9], axis=1),
-        np.stack([-0.1 - 0.45 * np.cos(turn), 0.45 - 0.45 * np.sin(turn)], axis=1),
-    ])
+    points = np.concatenate(
+        [
+            np.stack([straight, 0 * straight], axis=1),
+            np.stack([10 + 0.45 * np.cos(turn), 0.45 + 0.45 * np.sin(turn)], axis=1),
+            np.stack([straight[::-1], 0 * straight + 0.9], axis=1),
+            np.stack([-0.1 - 0.45 * np.cos(turn), 0.45 - 0.45 * np.sin(turn)], axis=1),
+        ]
+    )
     width = np.full(len(points), 0.44)
     frame = FrenetFrame(build_track("oval", points, width, width), dtype=torch.float64)
     s = column(6.0)

@@ -23,7 +23,9 @@ def write_csv(path, right=0.5, left=0.8, delimiter=",", header="# x_m,y_m,w_tr_r
     return path
 
 
-def write_map(folder, right=0.5, left=0.8, saved_as="ring.png", centreline="ring_centerline.csv", swap=False, **changes):
+def write_map(
+    folder, right=0.5, left=0.8, saved_as="ring.png", centreline="ring_centerline.csv", swap=False, **changes
+):
     """A ring track driven counter-clockwise: left is inside (radius 5 − left), right outside (5 + right)."""
     size = 300
     y, x = np.mgrid[0:size, 0:size] * RESOLUTION - 7.5
@@ -31,15 +33,28 @@ def write_map(folder, right=0.5, left=0.8, saved_as="ring.png", centreline="ring
     free = (radius > 5.0 - left) & (radius < 5.0 + right)
     Image.fromarray(np.where(free, 254, 0).astype(np.uint8)[::-1]).save(folder / saved_as)
     write_csv(folder / centreline, *((left, right) if swap else (right, left)))
-    settings = {"image": "ring.png", "resolution": RESOLUTION, "origin": [-7.5, -7.5, 0.0], "negate": 0,
-                "occupied_thresh": 0.65, "free_thresh": 0.196, **changes}
+    settings = {
+        "image": "ring.png",
+        "resolution": RESOLUTION,
+        "origin": [-7.5, -7.5, 0.0],
+        "negate": 0,
+        "occupied_thresh": 0.65,
+        "free_thresh": 0.196,
+        **changes,
+    }
     (folder / "ring.yaml").write_text("\n".join(f"{k}: {v}" for k, v in settings.items()))
     return folder / "ring.yaml"
 
 
-@pytest.mark.parametrize("delimiter, header", [
-    (",", "# x_m, y_m, w_tr_right_m, w_tr_left_m\n"), (";", "x_m;y_m;w_right;w_left\n"), ("  ", "\ufeff"), (", ", ""),
-])
+@pytest.mark.parametrize(
+    "delimiter, header",
+    [
+        (",", "# x_m, y_m, w_tr_right_m, w_tr_left_m\n"),
+        (";", "x_m;y_m;w_right;w_left\n"),
+        ("  ", "\ufeff"),
+        (", ", ""),
+    ],
+)
 def test_csv_layouts(tmp_path, delimiter, header):
     track = read_track(write_csv(tmp_path / "ring.csv", delimiter=delimiter, header=header))
     assert track.length == pytest.approx(2 * np.pi * 5, rel=1e-3)
@@ -64,14 +79,17 @@ def test_a_wrong_image_name_falls_back_with_a_warning(tmp_path, caplog):
     assert "using other.png" in caplog.text and np.allclose(track.width_left, 0.8)
 
 
-@pytest.mark.parametrize("changes, said", [
-    ({"image": "../../etc/passwd"}, "leads out"),
-    ({"resolution": 0}, "resolution"),
-    ({"resolution": ".nan"}, "finite"),
-    ({"origin": "[40.0, 40.0, 0.0]"}, "occupied or unknown"),
-    ({"origin": "here"}, "not a number"),
-    ({"negate": 1}, "occupied or unknown"),
-])
+@pytest.mark.parametrize(
+    "changes, said",
+    [
+        ({"image": "../../etc/passwd"}, "leads out"),
+        ({"resolution": 0}, "resolution"),
+        ({"resolution": ".nan"}, "finite"),
+        ({"origin": "[40.0, 40.0, 0.0]"}, "occupied or unknown"),
+        ({"origin": "here"}, "not a number"),
+        ({"negate": 1}, "occupied or unknown"),
+    ],
+)
 def test_wrong_maps_are_refused(tmp_path, changes, said):
     with pytest.raises(RacerlError, match=said) as error:
         read_track(write_map(tmp_path, **changes))
@@ -93,10 +111,18 @@ def test_a_map_needs_one_centreline_and_an_image(tmp_path):
         read_track(path)
 
 
-@pytest.mark.parametrize("content, said", [
-    ("", "no points"), ("1,2,3\n2,3,4\n", "3 columns"), ("1,2,3,4\n1,2\n", "line 2"), ("1,2,3,4\na,b,c,d\n", "line 2"),
-    ("# only a comment\n", "no points"), ("nan,0,1,1\n" * 20, "NaN"), ("1,2,3,4\n", "1 distinct"),
-])
+@pytest.mark.parametrize(
+    "content, said",
+    [
+        ("", "no points"),
+        ("1,2,3\n2,3,4\n", "3 columns"),
+        ("1,2,3,4\n1,2\n", "line 2"),
+        ("1,2,3,4\na,b,c,d\n", "line 2"),
+        ("# only a comment\n", "no points"),
+        ("nan,0,1,1\n" * 20, "NaN"),
+        ("1,2,3,4\n", "1 distinct"),
+    ],
+)
 def test_wrong_csvs_are_refused(tmp_path, content, said):
     (tmp_path / "bad.csv").write_text(content)
     with pytest.raises(TrackError, match=said):

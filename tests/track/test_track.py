@@ -73,16 +73,19 @@ def test_the_first_point_may_be_repeated():
     assert again.length == pytest.approx(build_track("open", points, right, left).length, rel=1e-9)
 
 
-@pytest.mark.parametrize("spoil, said", [
-    (lambda p, r, w: (p[:40], r[:40], w[:40]), "does not close"),
-    (lambda p, r, w: (p[:5], r[:5], w[:5]), "5 distinct points"),
-    (lambda p, r, w: (p, r * 0, w), "right width 0"),
-    (lambda p, r, w: (p, r, w - 1), "left width -0.5"),
-    (lambda p, r, w: (np.where(p == p[3], np.nan, p), r, w), "NaN"),
-    (lambda p, r, w: (p * 1e5, r, w), "is it in metres"),
-    (lambda p, r, w: (p * 0, r, w), "distinct points"),
-    (lambda p, r, w: (p[:, :1], r, w), "shape"),
-])
+@pytest.mark.parametrize(
+    "spoil, said",
+    [
+        (lambda p, r, w: (p[:40], r[:40], w[:40]), "does not close"),
+        (lambda p, r, w: (p[:5], r[:5], w[:5]), "5 distinct points"),
+        (lambda p, r, w: (p, r * 0, w), "right width 0"),
+        (lambda p, r, w: (p, r, w - 1), "left width -0.5"),
+        (lambda p, r, w: (np.where(p == p[3], np.nan, p), r, w), "NaN"),
+        (lambda p, r, w: (p * 1e5, r, w), "is it in metres"),
+        (lambda p, r, w: (p * 0, r, w), "distinct points"),
+        (lambda p, r, w: (p[:, :1], r, w), "shape"),
+    ],
+)
 def test_bad_tracks_are_refused_in_one_line(spoil, said):
     with pytest.raises(TrackError, match=said) as error:
         build_track("bad", *spoil(*circle()))

@@ -12,8 +12,19 @@ from racerl.train.ppo import Budget, RacePPO
 from racerl.train.rollout import Rollout
 from tests.env.test_race import make
 
-SMALL = {"cars": 64, "rollout": 32, "batch": 512, "epochs": 5, "learning_rate": 1e-3, "final_learning_rate": 1e-3,
-         "actor": [32, 32], "critic": [32, 32], "steps": 60_000, "gamma": 0.95, "initial_std": 0.5}
+SMALL = {
+    "cars": 64,
+    "rollout": 32,
+    "batch": 512,
+    "epochs": 5,
+    "learning_rate": 1e-3,
+    "final_learning_rate": 1e-3,
+    "actor": [32, 32],
+    "critic": [32, 32],
+    "steps": 60_000,
+    "gamma": 0.95,
+    "initial_std": 0.5,
+}
 
 
 def learner(race=None, seed=0, **changes):
@@ -124,10 +135,17 @@ def test_the_paper_budget_is_the_papers():
     assert schedule(1.0) == pytest.approx(1e-3) and schedule(0.0) == pytest.approx(1e-3)
 
 
-@pytest.mark.parametrize("change, said", [
-    ({"steps": 0}, "steps"), ({"cars": 1.5}, "cars"), ({"gamma": 1.5}, "gamma"), ({"stpes": 3}, "steps"),
-    ({"learning_rate": -1}, "learning_rate"), ({"learning_rate": "fast"}, "budget"),
-])
+@pytest.mark.parametrize(
+    "change, said",
+    [
+        ({"steps": 0}, "steps"),
+        ({"cars": 1.5}, "cars"),
+        ({"gamma": 1.5}, "gamma"),
+        ({"stpes": 3}, "steps"),
+        ({"learning_rate": -1}, "learning_rate"),
+        ({"learning_rate": "fast"}, "budget"),
+    ],
+)
 def test_wrong_budgets_are_refused(change, said):
     with pytest.raises(ConfigError, match=said):
         construct(Budget, {**SMALL, **change}, "budget")

@@ -33,13 +33,26 @@ def test_a_finished_run_holds_policy_log_and_manifest(smoke_run):
     assert str(smoke_run.parent) not in (smoke_run / "manifest.json").read_text()
 
 
-@pytest.mark.parametrize("variant", [
-    "obs=progress", "obs.points=5", "action=speed", "sim=no_actuators", "dr=none", "dr=friction_0.1", "dr=all_0.05",
-    "dr.sigma=0.07", "+vehicle/effect=[tyre_relaxation,aero_drag]", ["action=current", "sim=motor_current"],
-])
+@pytest.mark.parametrize(
+    "variant",
+    [
+        "obs=progress",
+        "obs.points=5",
+        "action=speed",
+        "sim=no_actuators",
+        "dr=none",
+        "dr=friction_0.1",
+        "dr=all_0.05",
+        "dr.sigma=0.07",
+        "+vehicle/effect=[tyre_relaxation,aero_drag]",
+        ["action=current", "sim=motor_current"],
+    ],
+)
 def test_every_variant_trains(variant, tmp_path):
     overrides = [variant] if isinstance(variant, str) else variant
-    facts = train(compose_settings("train", [*SMOKE, "dr=friction_0.02", "budget.steps=1024", *overrides]), tmp_path / "run")
+    facts = train(
+        compose_settings("train", [*SMOKE, "dr=friction_0.02", "budget.steps=1024", *overrides]), tmp_path / "run"
+    )
     assert facts["steps"] == 1024 and facts["nan_cars"] == 0
     assert RunFolder.open_complete(tmp_path / "run").manifest["status"] == "complete"
 
@@ -117,9 +130,15 @@ def test_results_are_never_overwritten(smoke_run, tmp_path):
         train(settings, tmp_path / "precious.txt")
 
 
-@pytest.mark.parametrize("change, said", [
-    ({"seed": -1}, "seed"), ({"seed": "x"}, "seed"), ({"threads": 0}, "threads"), ({"device": "tpu"}, "device"),
-])
+@pytest.mark.parametrize(
+    "change, said",
+    [
+        ({"seed": -1}, "seed"),
+        ({"seed": "x"}, "seed"),
+        ({"threads": 0}, "threads"),
+        ({"device": "tpu"}, "device"),
+    ],
+)
 def test_wrong_settings_write_nothing(change, said, tmp_path):
     with pytest.raises(ConfigError, match=said):
         train({**compose_settings("train", SMOKE), **change}, tmp_path / "run")

@@ -12,8 +12,13 @@ from racerl.vehicle import effects
 from racerl.vehicle.vehicle import Vehicle
 
 EFFECTS = registry.choices(effects)
-KINDS = ["sim=default", "sim=no_actuators", "sim=motor_current", *(f"+vehicle/effect={name}" for name in EFFECTS),
-         f"+vehicle/effect=[{','.join(EFFECTS)}]"]
+KINDS = [
+    "sim=default",
+    "sim=no_actuators",
+    "sim=motor_current",
+    *(f"+vehicle/effect={name}" for name in EFFECTS),
+    f"+vehicle/effect=[{','.join(EFFECTS)}]",
+]
 
 
 def make_car(*overrides: str) -> Vehicle:

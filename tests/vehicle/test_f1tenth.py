@@ -29,21 +29,26 @@ def published_forces(axle, kappa, alpha):
     return F_x, a / S * FRICTION * curve(B_y, C_y, D_y, E_y, B_y * S * alpha_p)
 
 
-@pytest.mark.parametrize("axle, most_x, most_y, rms_x, rms_y", [
-    ("front", 0.001, 0.001, 0.001, 0.001),
-    ("rear", 0.05, 0.011, 0.015, 0.005),
-])
+@pytest.mark.parametrize(
+    "axle, most_x, most_y, rms_x, rms_y",
+    [
+        ("front", 0.001, 0.001, 0.001, 0.001),
+        ("rear", 0.05, 0.011, 0.015, 0.005),
+    ],
+)
 def test_tyre_follows_the_published_curves(axle, most_x, most_y, rms_x, rms_y):
     car = make_car()
     tyre = getattr(car, axle)
-    misfit = np.array([
-        np.subtract(
-            np.divide(tyre.forces(kappa, math.tan(alpha), tyre.F_z0, car.friction, TORCH), tyre.F_z0),
-            published_forces(axle, kappa, alpha),
-        )
-        for kappa in np.linspace(-0.4, 0.4, 33)
-        for alpha in np.radians(np.linspace(-25, 25, 41))
-    ])
+    misfit = np.array(
+        [
+            np.subtract(
+                np.divide(tyre.forces(kappa, math.tan(alpha), tyre.F_z0, car.friction, TORCH), tyre.F_z0),
+                published_forces(axle, kappa, alpha),
+            )
+            for kappa in np.linspace(-0.4, 0.4, 33)
+            for alpha in np.radians(np.linspace(-25, 25, 41))
+        ]
+    )
     assert (np.abs(misfit).max(axis=0) < (most_x, most_y)).all()
     assert (np.sqrt((misfit**2).mean(axis=0)) < (rms_x, rms_y)).all()
 

@@ -13,7 +13,7 @@ import torch
 from racerl.vehicle import kernel
 from racerl.vehicle.kernel import CompiledMotion, TorchMotion, choose_motion
 from racerl.vehicle.parameter import values
-from tests.vehicle.conftest import make_car, random_states
+from tests.vehicle.conftest import random_states
 
 CPU = torch.device("cpu")
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler on this machine")

@@ -24,24 +24,27 @@ def change(settings, path, value):
         settings[last] = value
 
 
-@pytest.mark.parametrize("path, value, said", [
-    ("mass", -3.0, ["mass", "-3", "0.1", "kg"]),
-    ("mass", None, ["mass", "missing"]),
-    ("mass", "heavy", ["mass", "heavy"]),
-    ("mass", True, ["mass", "True"]),
-    ("mas", 3.0, ["mas", "mass"]),
-    ("l_f", 0.4, ["l_f", "wheelbase"]),
-    ("front.p_Dy1", 99.0, ["front.p_Dy1", "99"]),
-    ("front.p_Dy", 1.0, ["p_Dy", "p_Dy1"]),
-    ("rear.p_Ky1", None, ["rear", "p_Ky1", "missing"]),
-    ("rear", None, ["rear", "missing"]),
-    ("front", 3.0, ["front", "mapping"]),
-    ("steering.time_constant", 0.0, ["time_constant", "0.002"]),
-    ("effects", {"aero_drug": {}}, ["aero_drug", "aero_drag"]),
-    ("effects", {"aero_drag": {}}, ["coefficient", "missing"]),
-    ("effects", {"__init__": {}}, ["__init__"]),
-    ("effects", {"os": {}}, ["os"]),
-])
+@pytest.mark.parametrize(
+    "path, value, said",
+    [
+        ("mass", -3.0, ["mass", "-3", "0.1", "kg"]),
+        ("mass", None, ["mass", "missing"]),
+        ("mass", "heavy", ["mass", "heavy"]),
+        ("mass", True, ["mass", "True"]),
+        ("mas", 3.0, ["mas", "mass"]),
+        ("l_f", 0.4, ["l_f", "wheelbase"]),
+        ("front.p_Dy1", 99.0, ["front.p_Dy1", "99"]),
+        ("front.p_Dy", 1.0, ["p_Dy", "p_Dy1"]),
+        ("rear.p_Ky1", None, ["rear", "p_Ky1", "missing"]),
+        ("rear", None, ["rear", "missing"]),
+        ("front", 3.0, ["front", "mapping"]),
+        ("steering.time_constant", 0.0, ["time_constant", "0.002"]),
+        ("effects", {"aero_drug": {}}, ["aero_drug", "aero_drag"]),
+        ("effects", {"aero_drag": {}}, ["coefficient", "missing"]),
+        ("effects", {"__init__": {}}, ["__init__"]),
+        ("effects", {"os": {}}, ["os"]),
+    ],
+)
 def test_mistakes_are_named_in_one_line(settings, path, value, said):
     change(settings, path, value)
     with pytest.raises(RacerlError) as error:

@@ -38,8 +38,14 @@ def test_derivative_agrees_with_commonroad():
     p = setup_vehicle_parameters(2)
     actuator = FirstOrder(time_constant=0.1)
     car = Vehicle(
-        mass=p.m, yaw_inertia=p.I_z, wheelbase=p.a + p.b, l_f=p.a, front=OracleTyre(p.tire), rear=OracleTyre(p.tire),
-        steering=actuator, drive=actuator,
+        mass=p.m,
+        yaw_inertia=p.I_z,
+        wheelbase=p.a + p.b,
+        l_f=p.a,
+        front=OracleTyre(p.tire),
+        rear=OracleTyre(p.tire),
+        steering=actuator,
+        drive=actuator,
     )
     draw = np.random.default_rng(0).uniform
     speed, beta = draw(0.6, 50.0, STATES), draw(-0.5, 0.5, STATES)
@@ -59,12 +65,15 @@ def test_derivative_agrees_with_commonroad():
         # it blends with a kinematic model whose accelerations are zero for zero input: undo the blend
         w = 0.5 * (math.tanh((speed[i] - 0.2) / 0.05) + 1)
         dv, dbeta = f[3] / w, f[6] / w
-        expected.append([
-            f[0], f[1],
-            dv * math.cos(beta[i]) - v_y[i] * dbeta,
-            dv * math.sin(beta[i]) + v_x[i] * dbeta,
-            f[5] / w,
-        ])
+        expected.append(
+            [
+                f[0],
+                f[1],
+                dv * math.cos(beta[i]) - v_y[i] * dbeta,
+                dv * math.sin(beta[i]) + v_x[i] * dbeta,
+                f[5] / w,
+            ]
+        )
     rows = [np.zeros(STATES), np.zeros(STATES), yaw, v_x, v_y, yaw_rate, delta, omega]
     state = torch.tensor(np.array(rows))
     got = car.derivative(state, torch.zeros(2, STATES, dtype=torch.float64), TORCH)[[0, 1, 3, 4, 5]].T.numpy()

@@ -13,8 +13,21 @@ from racerl.vehicle.tyre import MagicFormula
 
 F_Z = 20.0
 TYRE = MagicFormula(
-    F_z0=20.0, p_Cx1=1.5, p_Dx1=0.9, p_Ex1=-0.5, p_Kx1=12.0, p_Cy1=1.4, p_Dy1=0.8, p_Ey1=-0.8, p_Ky1=9.0,
-    r_Bx1=9.0, r_Bx2=7.0, r_Cx1=1.0, r_By1=8.0, r_By2=5.0, r_Cy1=1.0,
+    F_z0=20.0,
+    p_Cx1=1.5,
+    p_Dx1=0.9,
+    p_Ex1=-0.5,
+    p_Kx1=12.0,
+    p_Cy1=1.4,
+    p_Dy1=0.8,
+    p_Ey1=-0.8,
+    p_Ky1=9.0,
+    r_Bx1=9.0,
+    r_Bx2=7.0,
+    r_Cx1=1.0,
+    r_By1=8.0,
+    r_By2=5.0,
+    r_Cy1=1.0,
 )
 slip = st.floats(-3.0, 3.0)
 load = st.floats(5.0, 60.0)
@@ -89,19 +102,28 @@ def test_cornering_stiffness_over_load(F_z_ratio):
     assert K_y <= 9.0 * 20.0 * (1 + 1e-6)
 
 
-@pytest.mark.parametrize("change, moves", [
-    ({"p_Hy1": 0.02}, lambda t: forces(0.0, -0.02, tyre=t)[1] == pytest.approx(0.0, abs=1e-12)),
-    ({"p_Hx1": 0.02}, lambda t: forces(-0.02, 0.0, tyre=t)[0] == pytest.approx(0.0, abs=1e-12)),
-    ({"p_Vy1": 0.03}, lambda t: forces(0.0, 0.0, tyre=t)[1] == pytest.approx(0.03 * F_Z)),
-    ({"p_Vx1": 0.03}, lambda t: forces(0.0, 0.0, tyre=t)[0] == pytest.approx(0.03 * F_Z)),
-    ({"p_Dy2": -0.2}, lambda t: forces(0.0, 0.5, 2 * F_Z, tyre=t)[1] < forces(0.0, 0.5, 2 * F_Z)[1]),
-    ({"p_Kx3": -0.5}, lambda t: forces(1e-6, 0.0, 2 * F_Z, tyre=t)[0] < forces(1e-6, 0.0, 2 * F_Z)[0]),
-    ({"p_Ey3": 0.3}, lambda t: abs(forces(0.0, 0.5, tyre=t)[1]) != pytest.approx(abs(forces(0.0, -0.5, tyre=t)[1]))),
-    ({"p_Ex4": 0.3}, lambda t: abs(forces(0.5, 0.0, tyre=t)[0]) != pytest.approx(abs(forces(-0.5, 0.0, tyre=t)[0]))),
-    ({"r_Vy1": 0.1, "r_Vy5": 1.5, "r_Vy6": 8.0}, lambda t: forces(0.1, 0.0, tyre=t)[1] > 0.1),
-    ({"r_Hy1": 0.02}, lambda t: t.lateral_weight(0.0, 0.1, 0.0, TORCH) == pytest.approx(1.0)),
-    ({"r_Hx1": 0.02}, lambda t: t.longitudinal_weight(0.1, 0.0, 0.0, TORCH) == pytest.approx(1.0)),
-    ({"p_Ey1": 1.0, "p_Ey2": 5.0}, lambda t: math.isfinite(forces(0.0, 2.0, 2 * F_Z, tyre=t)[1])),
-])
+@pytest.mark.parametrize(
+    "change, moves",
+    [
+        ({"p_Hy1": 0.02}, lambda t: forces(0.0, -0.02, tyre=t)[1] == pytest.approx(0.0, abs=1e-12)),
+        ({"p_Hx1": 0.02}, lambda t: forces(-0.02, 0.0, tyre=t)[0] == pytest.approx(0.0, abs=1e-12)),
+        ({"p_Vy1": 0.03}, lambda t: forces(0.0, 0.0, tyre=t)[1] == pytest.approx(0.03 * F_Z)),
+        ({"p_Vx1": 0.03}, lambda t: forces(0.0, 0.0, tyre=t)[0] == pytest.approx(0.03 * F_Z)),
+        ({"p_Dy2": -0.2}, lambda t: forces(0.0, 0.5, 2 * F_Z, tyre=t)[1] < forces(0.0, 0.5, 2 * F_Z)[1]),
+        ({"p_Kx3": -0.5}, lambda t: forces(1e-6, 0.0, 2 * F_Z, tyre=t)[0] < forces(1e-6, 0.0, 2 * F_Z)[0]),
+        (
+            {"p_Ey3": 0.3},
+            lambda t: abs(forces(0.0, 0.5, tyre=t)[1]) != pytest.approx(abs(forces(0.0, -0.5, tyre=t)[1])),
+        ),
+        (
+            {"p_Ex4": 0.3},
+            lambda t: abs(forces(0.5, 0.0, tyre=t)[0]) != pytest.approx(abs(forces(-0.5, 0.0, tyre=t)[0])),
+        ),
+        ({"r_Vy1": 0.1, "r_Vy5": 1.5, "r_Vy6": 8.0}, lambda t: forces(0.1, 0.0, tyre=t)[1] > 0.1),
+        ({"r_Hy1": 0.02}, lambda t: t.lateral_weight(0.0, 0.1, 0.0, TORCH) == pytest.approx(1.0)),
+        ({"r_Hx1": 0.02}, lambda t: t.longitudinal_weight(0.1, 0.0, 0.0, TORCH) == pytest.approx(1.0)),
+        ({"p_Ey1": 1.0, "p_Ey2": 5.0}, lambda t: math.isfinite(forces(0.0, 2.0, 2 * F_Z, tyre=t)[1])),
+    ],
+)
 def test_each_coefficient_does_what_its_name_says(change, moves):
     assert moves(dataclasses.replace(TYRE, **change))

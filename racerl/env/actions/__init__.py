@@ -32,4 +32,4 @@ def create_action(settings: Mapping[str, Any]) -> Action:
     """Build the action that `settings["name"]` names."""
     import racerl.env.actions as package
 
-    return registry.create(package, settings)  # type: ignore[no-any-return]
+    return registry.create(package, settings)

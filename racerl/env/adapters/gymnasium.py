@@ -64,6 +64,9 @@ class RaceVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if over.any():
             infos |= {"final_obs": step.final_observation.cpu().numpy(), "_final_obs": over}
         return (
-            step.observation.cpu().numpy(), step.reward.cpu().numpy(), step.terminated.cpu().numpy(),
-            step.truncated.cpu().numpy(), infos,
+            step.observation.cpu().numpy(),
+            step.reward.cpu().numpy(),
+            step.terminated.cpu().numpy(),
+            step.truncated.cpu().numpy(),
+            infos,
         )

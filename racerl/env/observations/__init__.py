@@ -32,7 +32,7 @@ def create_observation(settings: Mapping[str, Any]) -> Observation:
     """Build the observation that `settings["name"]` names."""
     import racerl.env.observations as package
 
-    return registry.create(package, settings)  # type: ignore[no-any-return]
+    return registry.create(package, settings)
 
 
 def actuator_terms(race: "Race") -> list[Tensor]:

@@ -29,8 +29,15 @@ def draw(subjects: Sequence[Subject]) -> str | None:
             values = np.array([time for time, _ in times])
             valid = np.array([ok for _, ok in times])
             jitter = row + 0.22 * np.linspace(-1, 1, len(values))
-            axis.boxplot(values, positions=[row], orientation="horizontal", widths=0.6, showfliers=False,
-                         manage_ticks=False, medianprops={"color": "black"})
+            axis.boxplot(
+                values,
+                positions=[row],
+                orientation="horizontal",
+                widths=0.6,
+                showfliers=False,
+                manage_ticks=False,
+                medianprops={"color": "black"},
+            )
             axis.plot(values[valid], jitter[valid], "o", ms=3, color=colour(i))
             axis.plot(values[~valid], jitter[~valid], "x", ms=4, color=colour(i))
         for row, (mean, std) in enumerate(zip(paper["mean_lap_s"], paper["std_lap_s"], strict=True), start=len(laps)):

@@ -52,8 +52,13 @@ def _panel(axis: Axes, evaluation: Evaluation, limits: tuple[float, float]) -> L
     lines.set_clim(*limits)
     axis.add_collection(lines)
     start = track.iloc[0]
-    axis.plot([start["left_x_m"], start["right_x_m"]], [start["left_y_m"], start["right_y_m"]], color="red", lw=1.5,
-              label="start and finish")
+    axis.plot(
+        [start["left_x_m"], start["right_x_m"]],
+        [start["left_y_m"], start["right_y_m"]],
+        color="red",
+        lw=1.5,
+        label="start and finish",
+    )
     axis.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
     axis.legend(loc="best", fontsize=8)
     return lines

@@ -3,6 +3,7 @@
 import io
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
@@ -10,7 +11,7 @@ from matplotlib.figure import Figure
 WIDTH = 9.0  # inches, page width
 COLOURS = ("#0b6e99", "#d1495b", "#2e933c", "#edae49", "#6a4c93", "#66717e")
 PAPER = "#444444"
-SETTINGS = {
+SETTINGS: dict[Any, Any] = {
     "svg.hashsalt": "racerl",
     "svg.fonttype": "path",
     "font.size": 10,
