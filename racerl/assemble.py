@@ -21,6 +21,34 @@ from racerl.vehicle.vehicle import Vehicle
 
 Settings = Mapping[str, Any]
 
+# what a resolved configuration, perhaps one that a stranger's run folder holds, must have
+NEEDED: dict[str, tuple[str, ...]] = {
+    "vehicle": (),
+    "track": ("file",),
+    "sim": ("dt", "step", "max_steps", "drive", "actuators"),
+    "obs": ("name",),
+    "action": ("name",),
+    "dr": ("sigma", "parameters"),
+}
+
+
+def check_settings(settings: Settings) -> None:
+    """Raise ConfigError when a section or one of its keys is missing."""
+    for section, keys in NEEDED.items():
+        content = settings.get(section)
+        if not isinstance(content, Mapping):
+            raise ConfigError(f"config: section '{section}' is missing or no mapping; compose it with racerl train")
+        for key in keys:
+            if key not in content:
+                raise ConfigError(f"config: {section}.{key} is missing; give it a value")
+
+
+def use_threads(threads: Any) -> None:
+    """Let torch compute with this many threads; raise ConfigError when it is no sensible number."""
+    if isinstance(threads, bool) or not isinstance(threads, int) or not 1 <= threads <= 256:
+        raise ConfigError(f"threads = {threads}: allowed is a whole number, 1 … 256")
+    torch.set_num_threads(threads)
+
 
 def conf_folder() -> Path:
     """Return the folder of packaged configurations: inside a wheel, or beside the package in a checkout."""
@@ -57,6 +85,7 @@ def build_race(
     termination: Termination | None = None,
 ) -> Race:
     """Build the race that the settings describe, for `cars` cars, with one seed for all or one for each."""
+    check_settings(settings)
     action = create_action(settings["action"])
     sim = settings["sim"]
     if action.drive_mode != sim["drive"]:

@@ -13,14 +13,16 @@ import numpy as np
 import pandas as pd
 import torch
 
-from racerl.assemble import build_race, choose_device
+from racerl.assemble import build_race, check_settings, choose_device, use_threads
 from racerl.control.policy import load_policy
 from racerl.documents import write_bytes, write_json, write_text
 from racerl.env.race import Race
+from racerl.env.randomize import Randomization
 from racerl.env.termination import Crash
 from racerl.errors import ConfigError, PolicyError
 from racerl.evaluate.drive import Recorder, drive
 from racerl.evaluate.laps import rows, score
+from racerl.registry import construct
 from racerl.run import RunFolder
 from racerl.track.track import Track
 
@@ -37,8 +39,11 @@ def evaluate(
     seeds, laps = _seeds(settings["seeds"]), settings["laps"]
     if isinstance(laps, bool) or not isinstance(laps, int) or not 1 <= laps <= 10_000:
         raise ConfigError(f"laps = {laps}: allowed is a whole number, 1 … 10000")
-    torch.set_num_threads(settings["threads"])
-    race_settings = combine(trained.settings(), settings)
+    use_threads(settings["threads"])
+    trained_settings = trained.settings()
+    check_settings(trained_settings)
+    name = label(trained_settings)
+    race_settings = combine(trained_settings, settings)
     device = choose_device(settings["device"])
     policy = load_policy(trained.path, device)
     race = build_evaluation_race(race_settings, seeds, device)
@@ -60,7 +65,7 @@ def evaluate(
         "run": str(settings["run"]),
         "run_id": trained.manifest["run_id"],
         "trained": {key: trained.manifest.get(key) for key in ("steps", "seconds")},
-        "label": label(trained.settings()),
+        "label": name,
         "nan_cars": race.faults,
         "git_sha": folder.manifest["git_sha"],
         "rows": rows(driven, seeds),
@@ -92,9 +97,9 @@ def build_evaluation_race(settings: Mapping[str, Any], seeds: list[int], device:
 def label(settings: Mapping[str, Any]) -> str:
     """Return a short name of a policy from what it was trained with."""
     parts = [settings["obs"]["name"], settings["action"]["name"]]
-    dr = settings["dr"]
-    kind = "friction" if list(dr["parameters"]) == ["friction"] else "all" if len(dr["parameters"]) > 1 else ""
-    parts.append(f"{kind} σ = {dr['sigma']:g}".strip() if dr["sigma"] else "no randomization")
+    dr = construct(Randomization, settings["dr"], "dr")
+    kind = dr.parameters[0] if len(dr.parameters) == 1 else "all" if dr.parameters else ""
+    parts.append(f"{kind} σ = {dr.sigma:g}" if dr.sigma else "no randomization")
     if not settings["sim"]["actuators"]:
         parts.append("no actuator model")
     return ", ".join(part.replace("_", " ") for part in parts)

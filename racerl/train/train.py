@@ -18,7 +18,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat
 from torch import nn
 
-from racerl.assemble import build_race, choose_device
+from racerl.assemble import build_race, check_settings, choose_device, use_threads
 from racerl.control.policy import Policy, save_policy
 from racerl.env.termination import Crash
 from racerl.errors import ConfigError
@@ -55,11 +55,10 @@ def train(
     seed, threads = settings["seed"], settings["threads"]
     if not isinstance(seed, int) or not 0 <= seed < 2**31:
         raise ConfigError(f"seed = {seed}: allowed is a whole number, 0 … 2³¹ − 1")
-    if not isinstance(threads, int) or not 1 <= threads <= 256:
-        raise ConfigError(f"threads = {threads}: allowed is a whole number, 1 … 256")
+    check_settings(settings)
     budget = construct(Budget, settings["budget"], "budget")
     device = choose_device(settings["device"])
-    torch.set_num_threads(threads)
+    use_threads(threads)
     race = build_race(settings, cars=budget.cars, seeds=[seed], device=device)
     examiner = Examiner(settings, device)
 

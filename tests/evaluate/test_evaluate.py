@@ -1,6 +1,7 @@
 """The evaluate stage on a real (if poor) policy."""
 
 import json
+import shutil
 
 import numpy as np
 import pandas as pd
@@ -121,6 +122,7 @@ def test_the_driven_car_has_actuators_whatever_it_was_trained_with():
         ("seeds=[]", "seeds"),
         ("seeds=[-1]", "seeds"),
         ("run=nowhere", "no racerl run"),
+        ("threads=0", "threads"),
     ],
 )
 def test_wrong_settings(override, said, smoke_run, tmp_path):
@@ -134,9 +136,31 @@ def test_an_evaluation_is_no_policy(smoke_evaluation, tmp_path):
         evaluate(compose_settings("evaluate", [f"run='{smoke_evaluation}'"]), tmp_path / "out")
 
 
-def test_a_policy_of_another_shape_is_refused(smoke_run, tmp_path):
-    import shutil
+@pytest.mark.parametrize(
+    "old, new",
+    [
+        ("sim:", "smi:"),
+        ("name: geometric", "nome: geometric"),
+        ("sigma: 0.02", "sigma: much"),
+        ("dt: 0.05", "dt: soon"),
+        ("drive: wheel_speed", "drive: [x]"),
+        ("file: l_shape.csv", "file: 3"),
+        ("mass: 5.1", "mass: {}"),
+        ("name: speed_rate", "name: os.system"),
+    ],
+)
+def test_a_tampered_run_only_raises_typed_errors(smoke_run, tmp_path, old, new):
+    copy = tmp_path / "copy"
+    shutil.copytree(smoke_run, copy)
+    text = (copy / "config.yaml").read_text()
+    assert old in text
+    (copy / "config.yaml").write_text(text.replace(old, new))
+    with pytest.raises(RacerlError) as error:
+        evaluate(compose_settings("evaluate", [f"run='{copy}'"]), tmp_path / "out")
+    assert "\n" not in str(error.value)
 
+
+def test_a_policy_of_another_shape_is_refused(smoke_run, tmp_path):
     copy = tmp_path / "copy"
     shutil.copytree(smoke_run, copy)
     text = (copy / "config.yaml").read_text().replace("points: 20", "points: 10")

@@ -137,6 +137,9 @@ def test_results_are_never_overwritten(smoke_run, tmp_path):
         ({"seed": "x"}, "seed"),
         ({"threads": 0}, "threads"),
         ({"device": "tpu"}, "device"),
+        ({"sim": {}}, "sim.dt"),
+        ({"obs": None}, "obs"),
+        ({"dr": {"sigma": 0.1, "parameters": [3]}}, "parameters"),
     ],
 )
 def test_wrong_settings_write_nothing(change, said, tmp_path):
