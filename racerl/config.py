@@ -55,7 +55,20 @@ class _UserFolder(SearchPathPlugin):
     def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
         user = Path("conf").resolve()
         if user.is_dir() and user != conf_folder().resolve():
+            _check_user_files(user)
             search_path.prepend("user", f"file://{user}")
+
+
+def _check_user_files(folder: Path) -> None:
+    """Raise ConfigError for a configuration that could make Hydra itself call something."""
+    for path in sorted([*folder.rglob("*.yaml"), *folder.rglob("*.yml")]):
+        try:
+            content = read_yaml(path)
+        except DocumentError as error:
+            raise ConfigError(str(error)) from error
+        keys = {key.rsplit(".", 1)[-1] for key in _keys(content)}
+        if "_target_" in keys:
+            raise ConfigError(f"{path}: holds the key '_target_', which names code to run; remove it")
 
 
 def run_command(
@@ -151,6 +164,8 @@ def _rewrite(command: str, arguments: Sequence[str], positional: str | None) -> 
             if word.split("=")[0] not in OPTIONS:
                 raise ConfigError(f"unknown option '{word}'{suggest(word, OPTIONS)}")
             overrides.append(word)
+            if word.startswith("--config-dir="):
+                _check_user_files(Path(word.partition("=")[2]))
             if word in (
                 "--cfg",
                 "-c",
@@ -163,7 +178,10 @@ def _rewrite(command: str, arguments: Sequence[str], positional: str | None) -> 
                 "--config-name",
                 "-cn",
             ):
-                overrides += [value for value in [next(words, None)] if value is not None]
+                value = next(words, None)
+                overrides += [] if value is None else [value]
+                if word in ("--config-dir", "-cd") and value:
+                    _check_user_files(Path(value))
         elif positional and ("=" not in word or Path(word).is_dir()):
             bare.append(word)
         elif "=" not in word and not word.startswith("~"):
@@ -217,11 +235,15 @@ def _check_keys(command: str, settings: Settings) -> None:
         raise ConfigError(f"{key} was removed; it is needed, give {key}=…")
 
 
-def _keys(settings: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
-    for key, value in settings.items():
-        yield f"{prefix}{key}"
-        if isinstance(value, Mapping):
+def _keys(settings: Any, prefix: str = "") -> Iterator[str]:
+    """Yield every key inside, dotted; lists are looked through."""
+    if isinstance(settings, Mapping):
+        for key, value in settings.items():
+            yield f"{prefix}{key}"
             yield from _keys(value, f"{prefix}{key}.")
+    elif isinstance(settings, list):
+        for value in settings:
+            yield from _keys(value, prefix)
 
 
 def _translate(command: str, error: Exception) -> ConfigError:
@@ -236,6 +258,6 @@ def _translate(command: str, error: Exception) -> ConfigError:
         r"(?:Could not override|Could not delete from config|Could not append to config)[^']*'([^']+)'", text
     )
     if key:
-        known = [*_keys(OmegaConf.to_container(_compose(command, []), resolve=False)), *default_groups(command)]  # type: ignore[arg-type]
+        known = [*_keys(OmegaConf.to_container(_compose(command, []), resolve=False)), *default_groups(command)]
         return ConfigError(f"unknown key '{key[1]}'{suggest(key[1], known)}")
     return ConfigError(text)

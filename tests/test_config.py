@@ -3,7 +3,7 @@
 import pytest
 
 from racerl.assemble import build_race
-from racerl.config import compose_settings, default_groups, make_env
+from racerl.config import compose_settings, default_groups, make_env, run_command
 from racerl.errors import ConfigError, RacerlError
 from racerl.registry import construct
 from racerl.train.ppo import Budget
@@ -77,6 +77,26 @@ def test_a_conf_folder_here_shadows_the_packaged_one(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert compose_settings("train", ["dr=mine"])["dr"]["sigma"] == 0.33
     assert compose_settings("train", [])["dr"]["sigma"] == 0.01
+
+
+@pytest.mark.parametrize(
+    "text, said",
+    [
+        ("# @package hydra.callbacks\nx:\n  _target_: builtins.open\n  file: exploded\n  mode: w\n", "_target_"),
+        ("sigma: 0.1\nparameters: [{_target_: os.system}]\n", "_target_"),
+        ("a: &a [1]\nb: *a\n", "aliases"),
+        ("sigma: !!python/object/apply:os.system [ls]\n", "not valid YAML"),
+    ],
+)
+def test_a_handed_configuration_cannot_run_code(tmp_path, monkeypatch, text, said):
+    (tmp_path / "conf" / "dr").mkdir(parents=True)
+    (tmp_path / "conf" / "dr" / "mine.yaml").write_text(text)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(RacerlError, match=said):
+        compose_settings("train", ["dr=mine"])
+    with pytest.raises(RacerlError, match=said):
+        run_command("train", ["dr=none", "--config-dir", str(tmp_path / "conf")], print)
+    assert not (tmp_path / "exploded").exists()
 
 
 @pytest.mark.parametrize(
