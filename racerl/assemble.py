@@ -9,7 +9,7 @@ import torch
 
 from racerl.env.actions import create_action
 from racerl.env.observations import create_observation
-from racerl.env.race import Race, Start, Timing
+from racerl.env.race import Race, Timing
 from racerl.env.randomize import Randomization
 from racerl.env.termination import OffTrack, Termination
 from racerl.errors import ConfigError
@@ -102,7 +102,6 @@ def build_race(
         seeds=seeds,
         randomization=construct(Randomization, settings["dr"], "dr"),
         timing=construct(Timing, {key: sim[key] for key in ("dt", "step", "max_steps")}, "sim"),
-        start=construct(Start, settings.get("start", {}), "start"),
         termination=termination or OffTrack(),
         device=device or torch.device("cpu"),
     )

@@ -29,23 +29,8 @@ from racerl.errors import ConfigError, DocumentError, suggest
 
 VERSION_BASE = "1.3"
 FILE_GROUPS = {"track": (".csv", ".yaml", ".yml"), "vehicle": (".yaml", ".yml")}
-OPTIONS = (
-    "--cfg",
-    "-c",
-    "--multirun",
-    "-m",
-    "--info",
-    "-i",
-    "--resolve",
-    "--package",
-    "-p",
-    "--config-dir",
-    "-cd",
-    "--config-name",
-    "-cn",
-    "--hydra-help",
-    "--help",
-)
+VALUED = ("--cfg", "-c", "--info", "-i", "--package", "-p", "--config-dir", "-cd", "--config-name", "-cn")
+OPTIONS = (*VALUED, "--multirun", "-m", "--resolve", "--hydra-help", "--help")
 Settings = dict[str, Any]
 
 
@@ -166,18 +151,7 @@ def _rewrite(command: str, arguments: Sequence[str], positional: str | None) -> 
             overrides.append(word)
             if word.startswith("--config-dir="):
                 _check_user_files(Path(word.partition("=")[2]))
-            if word in (
-                "--cfg",
-                "-c",
-                "--info",
-                "-i",
-                "--package",
-                "-p",
-                "--config-dir",
-                "-cd",
-                "--config-name",
-                "-cn",
-            ):
+            if word in VALUED:
                 value = next(words, None)
                 overrides += [] if value is None else [value]
                 if word in ("--config-dir", "-cd") and value:

@@ -27,6 +27,7 @@ from racerl.vehicle.vehicle import STATE, Vehicle
 
 log = logging.getLogger(__name__)
 
+START_SPEED_MIN, START_SPEED_MAX = 0.5, 2.0  # m/s, along the centreline
 X, Y, YAW, V_X, V_Y, YAW_RATE, DELTA, OMEGA = range(len(STATE))
 # all that the next step depends on, beside the drawn parameters and the generator
 KEPT = (
@@ -66,14 +67,6 @@ class Timing:
         return round(self.dt / self.step)
 
 
-@dataclass(frozen=True)
-class Start:
-    """Where and how fast an episode starts: anywhere on the centreline, along it."""
-
-    speed_min: float = 0.5  # m/s
-    speed_max: float = 2.0  # m/s
-
-
 class Step(NamedTuple):
     """The outcome of one control step, for N cars."""
 
@@ -100,7 +93,6 @@ class Race:
     seeds: Sequence[int]  # one for all cars, or one for each
     randomization: Randomization = field(default_factory=Randomization)
     timing: Timing = field(default_factory=Timing)
-    start: Start = field(default_factory=Start)
     termination: Termination = field(default_factory=OffTrack)
     device: torch.device = field(default_factory=lambda: torch.device("cpu"))
     dtype: torch.dtype = torch.float32
@@ -110,6 +102,7 @@ class Race:
             raise ConfigError(f"cars = {self.count}: allowed is at least 1")
         if len(self.seeds) not in (1, self.count):
             raise ConfigError(f"{len(self.seeds)} seeds for {self.count} cars: give one for all or one for each")
+        self.observation = self.observation.fitted(self.track)
         self.dice = Dice(self.seeds, self.count, self.device, self.dtype)
         self.frame = FrenetFrame(self.track, self.device, self.dtype)
         self.draws = ParameterDraws(self.vehicle, self.randomization, self.count, self.device, self.dtype)
@@ -205,7 +198,7 @@ class Race:
         self.draws.draw(mask, self.dice)
         place, pace = self.dice.uniform(2, mask)
         s = self.frame.wrap(place * self.track.length)
-        speed = self.start.speed_min + pace * (self.start.speed_max - self.start.speed_min)
+        speed = START_SPEED_MIN + pace * (START_SPEED_MAX - START_SPEED_MIN)
         x, y, yaw = self.frame.position(s, torch.zeros_like(s))
         fresh = torch.zeros_like(self.state)
         fresh[X], fresh[Y], fresh[YAW], fresh[V_X], fresh[OMEGA] = x, y, yaw, speed, speed

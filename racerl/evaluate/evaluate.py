@@ -46,6 +46,8 @@ def evaluate(
     race_settings = combine(trained_settings, settings)
     device = choose_device(settings["device"])
     policy = load_policy(trained.path, device)
+    # the policy knows what it sees and does, in which scale
+    race_settings |= {"obs": policy.observation, "action": policy.action}
     race = build_evaluation_race(race_settings, seeds, device)
     if race.observation.size != policy.sizes[0]:
         raise PolicyError(

@@ -192,4 +192,5 @@ class Trainer(BaseCallback):
 def extract_policy(model: RacePPO, settings: Mapping[str, Any]) -> Policy:
     """Return the actor of a model, sharing its weights."""
     network = nn.Sequential(*model.policy.mlp_extractor.policy_net, model.policy.action_net)
-    return Policy(network, settings["obs"], settings["action"])
+    observation = {"name": settings["obs"]["name"], **vars(model.race.observation)}
+    return Policy(network, observation, settings["action"])

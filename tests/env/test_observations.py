@@ -1,5 +1,7 @@
 """What the policy sees, number by number."""
 
+import dataclasses
+
 import pytest
 import torch
 
@@ -40,6 +42,16 @@ def test_geometric_does_not_depend_on_the_place_of_an_equal_track():
     assert torch.equal(seen[0], seen[1])
 
 
+def test_a_policy_sees_another_track_in_the_scale_it_was_trained_with():
+    home = make(cars=1)
+    kept = dataclasses.asdict(home.observation)
+    assert kept["curvature_max"] == home.track.max_curvature and kept["width_max"] == 0.5
+    elsewhere = dataclasses.replace(home.track, curvature=home.track.curvature / 2)
+    fresh = type(home.observation)().fitted(elsewhere)
+    assert fresh.curvature_max == pytest.approx(kept["curvature_max"] / 2)
+    assert type(home.observation)(**kept).fitted(elsewhere) == home.observation
+
+
 @pytest.mark.parametrize("package", [observations, actions])
 def test_every_module_is_found_and_builds(package):
     names = registry.choices(package)
@@ -58,6 +70,8 @@ def test_every_module_is_found_and_builds(package):
         ({"name": "os.system"}, "unknown"),
         ({"name": 3}, "unknown"),
         ({"name": "geometric", "points": "many"}, "geometric"),
+        ({"name": "geometric", "curvature_max": -1}, "curvature_max"),
+        ({"name": "progress", "length": "far"}, "length"),
     ],
 )
 def test_wrong_settings_are_named(settings, said):

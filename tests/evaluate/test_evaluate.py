@@ -10,7 +10,7 @@ import torch
 
 from racerl.config import compose_settings
 from racerl.env.termination import Crash
-from racerl.errors import ConfigError, PolicyError, RacerlError, RunError
+from racerl.errors import RacerlError, RunError
 from racerl.evaluate.drive import Recorder, drive
 from racerl.evaluate.evaluate import combine, evaluate, label
 from tests.env.test_race import make
@@ -146,7 +146,6 @@ def test_an_evaluation_is_no_policy(smoke_evaluation, tmp_path):
         ("drive: wheel_speed", "drive: [x]"),
         ("file: l_shape.csv", "file: 3"),
         ("mass: 5.1", "mass: {}"),
-        ("name: speed_rate", "name: os.system"),
     ],
 )
 def test_a_tampered_run_only_raises_typed_errors(smoke_run, tmp_path, old, new):
@@ -160,10 +159,22 @@ def test_a_tampered_run_only_raises_typed_errors(smoke_run, tmp_path, old, new):
     assert "\n" not in str(error.value)
 
 
-def test_a_policy_of_another_shape_is_refused(smoke_run, tmp_path):
+@pytest.mark.parametrize(
+    "key, change, said",
+    [
+        ("observation", {"points": 10}, "reads 50 numbers"),
+        ("observation", {"name": "os.system"}, "unknown observation"),
+        ("observation", {"width_max": "wide"}, "width_max"),
+        ("action", {"name": "sped"}, "speed"),
+        ("action", {"power": 9}, "no setting"),
+    ],
+)
+def test_a_policy_that_does_not_fit_is_refused(smoke_run, tmp_path, key, change, said):
     copy = tmp_path / "copy"
     shutil.copytree(smoke_run, copy)
-    text = (copy / "config.yaml").read_text().replace("points: 20", "points: 10")
-    (copy / "config.yaml").write_text(text)
-    with pytest.raises((PolicyError, ConfigError)):
+    facts = json.loads((copy / "policy.json").read_text())
+    facts[key] |= change
+    (copy / "policy.json").write_text(json.dumps(facts))
+    with pytest.raises(RacerlError, match=said):
         evaluate(compose_settings("evaluate", [f"run='{copy}'"]), tmp_path / "out")
+    assert not (tmp_path / "out").exists()

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from racerl import registry
+from racerl.track.track import Track
 
 if TYPE_CHECKING:
     from racerl.env.race import Race
@@ -24,6 +25,12 @@ class Observation(Protocol):
     def size(self) -> int:
         """Numbers per car."""
 
+    def fitted(self, track: Track) -> "Observation":
+        """Return the observation with its maxima taken from the track, where they are not given.
+
+        A policy keeps the maxima that it was trained with, so that it sees other tracks in the same scale.
+        """
+
     def __call__(self, race: "Race") -> Tensor:
         """Return the observation (N, size)."""
 
@@ -33,6 +40,13 @@ def create_observation(settings: Mapping[str, Any]) -> Observation:
     import racerl.env.observations as package
 
     return registry.create(package, settings)
+
+
+def check_maxima(**maxima: float) -> None:
+    """Raise ValueError for a maximum that is no number or negative."""
+    for name, value in maxima.items():
+        if not isinstance(value, (int, float)) or not value >= 0:
+            raise ValueError(f"{name} = {value!r}: allowed is more than 0, or 0 to take it from the track")
 
 
 def actuator_terms(race: "Race") -> list[Tensor]:

@@ -4,13 +4,14 @@ v_x, v_y, u, n, r, δ, δ_ref, ω̇_ref, ω_ref, ω, then curvature and half-wid
 the first one `spacing` ahead. u is the heading relative to the track, n the offset from the middle of the track.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
-from racerl.env.observations import HEADING_MAX, SPEED_MAX, YAW_RATE_MAX, actuator_terms
+from racerl.env.observations import HEADING_MAX, SPEED_MAX, YAW_RATE_MAX, actuator_terms, check_maxima
+from racerl.track.track import Track
 
 if TYPE_CHECKING:
     from racerl.env.race import Race
@@ -22,8 +23,11 @@ class Geometric:
 
     points: int = 20
     spacing: float = 0.3  # m
+    curvature_max: float = 0.0  # 1/m; 0: the track's
+    width_max: float = 0.0  # m, of the half-width; 0: the track's
 
     def __post_init__(self) -> None:
+        check_maxima(curvature_max=self.curvature_max, width_max=self.width_max)
         if not 1 <= self.points <= 500 or not 0.01 <= self.spacing <= 50.0:
             raise ValueError(f"points = {self.points} (1 … 500), spacing = {self.spacing} m (0.01 … 50)")
 
@@ -31,6 +35,14 @@ class Geometric:
     def size(self) -> int:
         """10 numbers of the car and two per preview point."""
         return 10 + 2 * self.points
+
+    def fitted(self, track: Track) -> "Geometric":
+        """Take missing maxima from the track."""
+        return replace(
+            self,
+            curvature_max=self.curvature_max or max(track.max_curvature, 1e-3),
+            width_max=self.width_max or track.max_half_width,
+        )
 
     def __call__(self, race: "Race") -> Tensor:
         """Return (N, 10 + 2·points)."""
@@ -40,10 +52,10 @@ class Geometric:
             race.v_x / SPEED_MAX,
             race.v_y / SPEED_MAX,
             race.heading / HEADING_MAX,
-            race.offset / race.track.max_half_width,
+            race.offset / self.width_max,
             race.yaw_rate / YAW_RATE_MAX,
             *actuator_terms(race),
         ]
-        curvature = frame.lookup(frame.curvature, ahead) / max(race.track.max_curvature, 1e-3)
-        width = frame.half_width(ahead) / race.track.max_half_width
+        curvature = frame.lookup(frame.curvature, ahead) / self.curvature_max
+        width = frame.half_width(ahead) / self.width_max
         return torch.cat([torch.stack(car, dim=1), curvature, width], dim=1)

@@ -3,13 +3,14 @@
 The track itself is not shown; the policy has to learn it by heart.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
-from racerl.env.observations import HEADING_MAX, SPEED_MAX, YAW_RATE_MAX, actuator_terms
+from racerl.env.observations import HEADING_MAX, SPEED_MAX, YAW_RATE_MAX, actuator_terms, check_maxima
+from racerl.track.track import Track
 
 if TYPE_CHECKING:
     from racerl.env.race import Race
@@ -19,20 +20,30 @@ if TYPE_CHECKING:
 class Progress:
     """State and place on the track."""
 
+    length: float = 0.0  # m; 0: the track's
+    width_max: float = 0.0  # m, of the half-width; 0: the track's
+
+    def __post_init__(self) -> None:
+        check_maxima(length=self.length, width_max=self.width_max)
+
     @property
     def size(self) -> int:
         """11 numbers."""
         return 11
 
+    def fitted(self, track: Track) -> "Progress":
+        """Take missing maxima from the track."""
+        return replace(self, length=self.length or track.length, width_max=self.width_max or track.max_half_width)
+
     def __call__(self, race: "Race") -> Tensor:
         """Return (N, 11)."""
         terms = [
-            race.offset / race.track.max_half_width,
+            race.offset / self.width_max,
             race.heading / HEADING_MAX,
             race.v_x / SPEED_MAX,
             race.v_y / SPEED_MAX,
             race.yaw_rate / YAW_RATE_MAX,
             *actuator_terms(race),
-            race.s / race.track.length,
+            race.s / self.length,
         ]
         return torch.stack(terms, dim=1)
