@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from racerl.documents import MAX_TEXT_BYTES, read_json, read_text
@@ -13,7 +14,7 @@ from racerl.errors import DocumentError, RunError
 from racerl.run import MANIFEST, RunFolder
 
 PROGRESS, METRICS, TRAJECTORIES, TRACK = "progress.jsonl", "metrics.json", "trajectories.parquet", "track.csv"
-NEEDED = ("s", "n", "x", "y", "v_x", "delta", "lap", "seed", "t")
+NEEDED = ("run", "s", "n", "x", "y", "v_x", "delta", "lap", "seed", "t")
 MAX_DEPTH = 3  # folders below outputs/<stage>
 
 
@@ -27,13 +28,20 @@ class Evaluation:
     drive: pd.DataFrame
     track: pd.DataFrame
 
-    def fastest_lap(self) -> pd.DataFrame:
-        """Return the rows of the fastest lap, a valid one if there is any; empty when no lap was finished."""
+    def fastest_lap(self, beyond: int = 0) -> pd.DataFrame:
+        """Return the rows of the fastest lap, a valid one if there is any; empty when no lap was finished.
+
+        `beyond` adds that many rows of the same run before and after the lap.
+        """
         timed = [row for row in self.metrics["rows"] if row["time_s"] is not None]
         if not timed:
             return self.drive.iloc[:0]
         best = min(timed, key=lambda row: (not row["valid"], row["time_s"]))
-        return self.drive[(self.drive["seed"] == best["seed"]) & (self.drive["lap"] == best["number"])]
+        rows = np.flatnonzero((self.drive["seed"] == best["seed"]) & (self.drive["lap"] == best["number"]))
+        if not len(rows):
+            return self.drive.iloc[:0]
+        lap = self.drive.iloc[max(0, rows[0] - beyond) : rows[-1] + 1 + beyond]
+        return lap[lap["run"] == self.drive["run"].iloc[rows[0]]]
 
 
 @dataclass(frozen=True)

@@ -86,6 +86,14 @@ def test_damaged_evaluations_are_named(raced, tmp_path, file, content):
         report({"runs": []}, tmp_path / "report", raced)
 
 
+def test_the_fastest_lap_is_closed_by_its_neighbours(raced):
+    evaluation = find_subjects([], raced)[0].evaluation
+    lap = evaluation.fastest_lap()
+    assert set(lap["seed"]) == {0} and set(lap["lap"]) == {1}
+    first_run = lap["run"].iloc[0]
+    assert len(evaluation.fastest_lap(beyond=1)) <= len(lap[lap["run"] == first_run]) + 2
+
+
 def test_hostile_names_are_only_text(raced, tmp_path):
     path = raced / "evaluate" / "smoke" / "metrics.json"
     metrics = json.loads(path.read_text())

@@ -22,7 +22,7 @@ def draw(subjects: Sequence[Subject]) -> str | None:
     columns = 1 if len(raced) == 1 else 2
     rows = -(-len(raced) // columns)
     with style():
-        figure = Figure(figsize=(WIDTH if columns > 1 else 0.75 * WIDTH, 5.6 * rows))
+        figure = Figure(figsize=(WIDTH if columns > 1 else 0.62 * WIDTH, 6.0 * rows))
         axes = figure.subplots(rows, columns, squeeze=False).ravel()
         speeds = np.concatenate([s.evaluation.fastest_lap()["v_x"].to_numpy() for s in raced if s.evaluation])
         limits = (float(speeds.min()), float(speeds.max()))
@@ -33,11 +33,12 @@ def draw(subjects: Sequence[Subject]) -> str | None:
         for axis in axes[len(raced) :]:
             axis.set_visible(False)
         figure.colorbar(lines, ax=list(axes[: len(raced)]), label="v_x [m/s]", shrink=0.8)
+        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=8)
         return to_svg(figure)
 
 
 def _panel(axis: Axes, evaluation: Evaluation, limits: tuple[float, float]) -> LineCollection:
-    track, lap = evaluation.track, evaluation.fastest_lap()
+    track, lap = evaluation.track, evaluation.fastest_lap(beyond=1)
     for side in ("left", "right"):
         x, y = track[f"{side}_x_m"], track[f"{side}_y_m"]
         axis.plot([*x, x.iloc[0]], [*y, y.iloc[0]], color="black", lw=1.0)
@@ -60,5 +61,4 @@ def _panel(axis: Axes, evaluation: Evaluation, limits: tuple[float, float]) -> L
         label="start and finish",
     )
     axis.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
-    axis.legend(loc="best", fontsize=8)
     return lines
