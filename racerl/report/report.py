@@ -73,7 +73,7 @@ def _row(subject: Subject) -> dict[str, Any]:
         "car": m["car"],
         "fastest": _number(m["fastest_valid_lap_s"], 3),
         "mean": _number(m["mean_lap_s"], 3),
-        "interval": f"{interval[0]:.3f} … {interval[1]:.3f}" if interval else "–",
+        "interval": " … ".join(f"{bound:.3f}" for bound in interval) if interval else "–",
         "std": _number(m["std_lap_s"], 3),
         "e_off": _number(m["e_off"], 5),
         "crashes": f"{m['crash_share']:.0%}",

@@ -1,20 +1,45 @@
 """What a report is about: training runs with their newest evaluation, read from run folders."""
 
 import json
-import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from racerl.documents import MAX_TEXT_BYTES, read_json, read_text
 from racerl.errors import DocumentError, RunError
 from racerl.run import MANIFEST, RunFolder
 
 PROGRESS, METRICS, TRAJECTORIES, TRACK = "progress.jsonl", "metrics.json", "trajectories.parquet", "track.csv"
-NEEDED = ("run", "s", "n", "x", "y", "v_x", "delta", "lap", "seed", "t")
+DRIVE_COLUMNS = ("run", "seed", "lap", "t", "s", "n", "x", "y", "v_x", "delta")
+TRACK_COLUMNS = ("s_m", "x_m", "y_m", "left_x_m", "left_y_m", "right_x_m", "right_y_m")
+NUMBER, NUMBER_OR_NONE = (int, float), (int, float, type(None))
+FIELDS: dict[str, tuple[type, ...]] = {
+    "label": (str,),
+    "car": (str,),
+    "track": (str,),
+    "rows": (list,),
+    "laps": (int,),
+    "valid_laps": (int,),
+    "e_off": NUMBER,
+    "crash_share": NUMBER,
+    "fastest_valid_lap_s": NUMBER_OR_NONE,
+    "mean_lap_s": NUMBER_OR_NONE,
+    "std_lap_s": NUMBER_OR_NONE,
+    "mean_lap_ci95": (list, type(None)),
+}
+ROW_FIELDS: dict[str, tuple[type, ...]] = {
+    "seed": (int,),
+    "number": (int,),
+    "valid": (bool,),
+    "time_s": NUMBER_OR_NONE,
+}
+MAX_ROWS = 20_000_000
 MAX_DEPTH = 3  # folders below outputs/<stage>
 
 
@@ -110,27 +135,46 @@ def _read_progress(path: Path) -> pd.DataFrame:
     """Return the training log; of a step that a resumed run wrote twice, the last line counts."""
     try:
         lines = [json.loads(line) for line in read_text(path, 16 * MAX_TEXT_BYTES).splitlines() if line.strip()]
-        return pd.DataFrame(lines).drop_duplicates("steps", keep="last").sort_values("steps")
-    except (DocumentError, ValueError, KeyError) as error:
-        raise RunError(f"{path}: cannot be read ({error}); train again") from error
+        table = pd.DataFrame(lines).apply(pd.to_numeric)
+        return table.drop_duplicates("steps", keep="last").sort_values("steps")
+    except (DocumentError, ValueError, KeyError, TypeError) as error:
+        raise RunError(f"{path}: cannot be read ({' '.join(str(error).split())}); train again") from error
 
 
 def _read_evaluation(folder: RunFolder) -> Evaluation:
     try:
         metrics = read_json(folder.path / METRICS)
-        drive = pd.read_parquet(folder.path / TRAJECTORIES)
-        track = pd.read_csv(folder.path / TRACK)
-        rows = metrics["rows"]
-        sound = all(key in metrics for key in ("label", "e_off", "crash_share", "mean_lap_s")) and all(
-            isinstance(row, dict) and {"time_s", "valid", "seed", "number"} <= set(row) for row in rows
-        )
-    except (DocumentError, OSError, ValueError, KeyError, TypeError) as error:
+        _check(metrics, FIELDS, METRICS)
+        for row in metrics["rows"]:
+            _check(row, ROW_FIELDS, f"{METRICS}, rows")
+        drive = _finite_table(_read_drive(folder.path / TRAJECTORIES), DRIVE_COLUMNS, TRAJECTORIES)
+        track = _finite_table(pd.read_csv(folder.path / TRACK), TRACK_COLUMNS, TRACK)
+    except (DocumentError, OSError, ValueError, pa.ArrowException) as error:
         raise RunError(f"{folder.path}: is damaged ({' '.join(str(error).split())}); evaluate again") from error
-    missing = [name for name in NEEDED if name not in drive]
-    if missing or not sound or "curvature_1_m" not in track:
-        raise RunError(
-            f"{folder.path}: is damaged (fields {', '.join(missing) or 'of the metrics'} missing); evaluate again"
-        )
-    if not all(math.isfinite(value) for value in drive[list(NEEDED)].to_numpy().ravel()[:: max(1, len(drive) // 1000)]):
-        raise RunError(f"{folder.path}: holds NaN; evaluate again")
     return Evaluation(folder.path, folder.manifest, metrics, drive, track)
+
+
+def _read_drive(path: Path) -> pd.DataFrame:
+    rows = pq.read_metadata(path).num_rows
+    if rows > MAX_ROWS:
+        raise ValueError(f"{path.name} holds {rows} rows, at most {MAX_ROWS} are read")
+    return pd.read_parquet(path)
+
+
+def _check(record: Any, fields: Mapping[str, tuple[type, ...]], where: str) -> None:
+    """Raise ValueError when a field is missing or of another type."""
+    if not isinstance(record, dict):
+        raise ValueError(f"{where}: {record!r} is no record")
+    for name, kinds in fields.items():
+        if name not in record or not isinstance(record[name], kinds):
+            raise ValueError(f"{where}: {name} is {record.get(name, 'missing')!r}")
+
+
+def _finite_table(table: pd.DataFrame, columns: Sequence[str], where: str) -> pd.DataFrame:
+    """Return the table; raise ValueError when a column is missing or not finite numbers."""
+    missing = [name for name in columns if name not in table]
+    if missing or not len(table):
+        raise ValueError(f"{where}: {', '.join(missing) or 'every row'} missing")
+    if not np.isfinite(table[list(columns)].apply(pd.to_numeric).to_numpy(dtype=float)).all():
+        raise ValueError(f"{where}: holds NaN")
+    return table

@@ -71,7 +71,7 @@ class RacePPO(PPO):
             RaceVecEnv(race),
             learning_rate=lambda remaining: last + (first - last) * remaining,
             n_steps=budget.rollout,
-            batch_size=budget.batch,
+            batch_size=race.count * budget.rollout,  # of its own buffer, which stays unused
             n_epochs=budget.epochs,
             gamma=budget.gamma,
             gae_lambda=budget.gae_lambda,
@@ -88,6 +88,7 @@ class RacePPO(PPO):
             seed=seed,
             device=race.device,
         )
+        self.batch_size = budget.batch
         self.rollout = Rollout(budget.rollout, race.count, race.observation.size, 2, race.device)
         self.rate_factor = 1.0  # of the scheduled learning rate, when it follows the KL divergence
 

@@ -76,8 +76,10 @@ def test_incomplete_runs_are_left_out(raced, tmp_path):
     [
         ("metrics.json", "{}"),
         ("metrics.json", "[1"),
+        ("metrics.json", '{"label": "x", "car": "y", "track": 3}'),
         ("trajectories.parquet", "x"),
         ("track.csv", ""),
+        ("track.csv", "s_m,x_m\n1,2\n"),
     ],
 )
 def test_damaged_evaluations_are_named(raced, tmp_path, file, content):
@@ -92,6 +94,16 @@ def test_the_fastest_lap_is_closed_by_its_neighbours(raced):
     assert set(lap["seed"]) == {0} and set(lap["lap"]) == {1}
     first_run = lap["run"].iloc[0]
     assert len(evaluation.fastest_lap(beyond=1)) <= len(lap[lap["run"] == first_run]) + 2
+
+
+@pytest.mark.parametrize(
+    "change", [{"mean_lap_s": "fast"}, {"rows": [3]}, {"rows": [{"seed": "a"}]}, {"mean_lap_ci95": 6.0}]
+)
+def test_metrics_of_another_type_are_named(raced, tmp_path, change):
+    path = raced / "evaluate" / "smoke" / "metrics.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
+    with pytest.raises(RunError, match="damaged"):
+        report({"runs": []}, tmp_path / "report", raced)
 
 
 def test_hostile_names_are_only_text(raced, tmp_path):

@@ -62,7 +62,7 @@ def test_a_time_out_is_bootstrapped_and_an_end_is_not():
     left = cut & (rollout.rewards == -1.0)
     timed_out = cut & ~left
     assert left.any() and timed_out.any()
-    final = model.policy.predict_values(torch.zeros(1, 50))
+    final = model.policy.predict_values(torch.zeros(1, 50)).detach()
     assert torch.isfinite(final).all()
     model.policy.value_net.bias.data += 100.0
     truncated = torch.tensor([True, False, True])
