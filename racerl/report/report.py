@@ -65,11 +65,11 @@ def _number(value: float | None, digits: int) -> str:
 def _row(subject: Subject) -> dict[str, Any]:
     if subject.evaluation is None:
         blank = dict.fromkeys(("car", "fastest", "mean", "interval", "std", "e_off", "crashes", "valid"), "–")
-        return {"driver": subject.name, **blank}
+        return {"driver": subject.title, **blank}
     m = subject.evaluation.metrics
     interval = m.get("mean_lap_ci95")
     return {
-        "driver": subject.label,
+        "driver": subject.title,
         "car": m["car"],
         "fastest": _number(m["fastest_valid_lap_s"], 3),
         "mean": _number(m["mean_lap_s"], 3),

@@ -1,8 +1,9 @@
 """What a report is about: training runs with their newest evaluation, read from run folders."""
 
 import json
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -74,42 +75,45 @@ class Subject:
     """A policy: how it was trained and how it raced; either may be missing."""
 
     name: str
+    title: str  # what the policy is; with the name where several are the same
     training: dict[str, Any] | None  # the manifest
     progress: pd.DataFrame | None
     evaluation: Evaluation | None
 
-    @property
-    def label(self) -> str:
-        """The evaluation's description of the policy, or the run's name."""
-        return str(self.evaluation.metrics["label"]) if self.evaluation else self.name
-
 
 def find_subjects(paths: list[Path], outputs: Path) -> list[Subject]:
-    """Return the subjects of the runs given, or of all complete runs under `outputs`; raise RunError when none."""
+    """Return the subjects of the runs given, or of all complete runs under `outputs`; raise RunError when none.
+
+    A training run comes with its newest evaluation under `outputs`, unless evaluations of it are given.
+    """
     given = [RunFolder.open_complete(path) for path in paths]
-    training = {run.manifest["run_id"]: run for run in given if run.manifest["stage"] == "train"}
-    chosen = [run for run in given if run.manifest["stage"] == "evaluate"]
     around = _complete_runs(outputs)
-    if not given:
-        training = {run.manifest["run_id"]: run for run in around if run.manifest["stage"] == "train"}
-    newest = {
-        run.manifest.get("train_run_id"): run
-        for run in sorted(around, key=lambda run: str(run.manifest.get("finished")))
-        if run.manifest["stage"] == "evaluate"
-    }
-    subjects = []
-    for run_id, run in training.items():
-        own = [folder for folder in chosen if folder.manifest.get("train_run_id") == run_id]
-        folders: list[RunFolder | None] = [*own] or [newest.get(run_id)]
-        subjects += [_subject(run, folder) for folder in folders]
-        chosen = [folder for folder in chosen if folder not in own]
-    if not given:
-        chosen = [run for run_id, run in newest.items() if run_id not in training]
-    by_id = {run.manifest["run_id"]: run for run in around if run.manifest["stage"] == "train"}
-    subjects += [_subject(by_id.get(folder.manifest.get("train_run_id")), folder) for folder in chosen]
-    if not subjects:
+    trained = {run.manifest["run_id"]: run for run in (*around, *given) if run.manifest["stage"] == "train"}
+    by_finish = sorted(around, key=lambda run: str(run.manifest.get("finished")))
+    newest = {_origin(run): run for run in by_finish if run.manifest["stage"] == "evaluate"}
+    chosen = [run for run in given if run.manifest["stage"] == "evaluate"] if given else list(newest.values())
+    raced = {_origin(run) for run in chosen}
+    pairs: list[tuple[RunFolder | None, RunFolder | None]] = [(trained.get(_origin(run)), run) for run in chosen]
+    pairs += [
+        (run, newest.get(run.manifest["run_id"]))
+        for run in given or around
+        if run.manifest["stage"] == "train" and run.manifest["run_id"] not in raced
+    ]
+    if not pairs:
         raise RunError(f"{outputs}: holds no finished run; train one with: racerl train +dr=friction_0.02")
-    return subjects
+    pairs.sort(key=lambda pair: str(next(run for run in pair if run).manifest.get("started")))
+    return _with_own_titles([_subject(*pair) for pair in pairs])
+
+
+def _origin(evaluation: RunFolder) -> str:
+    """Return the id of the training run that an evaluation raced."""
+    return str(evaluation.manifest.get("train_run_id"))
+
+
+def _with_own_titles(subjects: list[Subject]) -> list[Subject]:
+    """Return the subjects with their names added to titles that occur more than once."""
+    count = Counter(subject.title for subject in subjects)
+    return [replace(s, title=f"{s.name}: {s.title}") if count[s.title] > 1 else s for s in subjects]
 
 
 def _complete_runs(outputs: Path) -> list[RunFolder]:
@@ -127,8 +131,9 @@ def _complete_runs(outputs: Path) -> list[RunFolder]:
 def _subject(training: RunFolder | None, evaluated: RunFolder | None) -> Subject:
     evaluation = _read_evaluation(evaluated) if evaluated else None
     progress = _read_progress(training.path / PROGRESS) if training else None
-    name = (training or evaluated).path.name  # type: ignore[union-attr]
-    return Subject(name, training.manifest if training else None, progress, evaluation)
+    name = next(run for run in (training, evaluated) if run).path.name
+    title = str(evaluation.metrics["label"]) if evaluation else name
+    return Subject(name, title, training.manifest if training else None, progress, evaluation)
 
 
 def _read_progress(path: Path) -> pd.DataFrame:

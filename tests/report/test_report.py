@@ -123,6 +123,18 @@ def test_the_newest_evaluation_counts(raced):
     assert len(subjects) == 1 and subjects[0].evaluation.path == newer
 
 
+def test_equal_policies_are_told_apart(raced, tmp_path):
+    for stage, key in (("train", "run_id"), ("evaluate", "train_run_id")):
+        copy = raced / stage / "again"
+        shutil.copytree(raced / stage / "smoke", copy)
+        manifest = json.loads((copy / "manifest.json").read_text())
+        (copy / "manifest.json").write_text(json.dumps({**manifest, key: "another"}))
+    titles = [subject.title for subject in find_subjects([], raced)]
+    assert sorted(title.split(":")[0] for title in titles) == ["again", "smoke"]
+    page = report({"runs": []}, tmp_path / "report", raced).read_text()
+    assert "again: geometric" in page and "smoke: geometric" in page
+
+
 def test_the_papers_values_are_the_papers():
     table = paper_values.table_1().set_index("name")
     assert table.loc["rl_geometric", "fastest_valid_lap_s"] == 5.561 and table.loc["mpc", "e_off"] == 0.00083

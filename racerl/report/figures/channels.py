@@ -12,7 +12,7 @@ from racerl.report.subjects import Subject
 def draw(subjects: Sequence[Subject]) -> str | None:
     """Return the SVG, or None when nobody finished a lap."""
     raced = [
-        (i, s.label, s.evaluation)
+        (i, s.title, s.evaluation)
         for i, s in enumerate(subjects)
         if s.evaluation is not None and len(s.evaluation.fastest_lap())
     ]

@@ -17,7 +17,7 @@ def draw(subjects: Sequence[Subject]) -> str | None:
         rows = subject.evaluation.metrics["rows"] if subject.evaluation else []
         times = [(row["time_s"], row["valid"]) for row in rows if row["time_s"] is not None]
         if times:
-            laps.append((i, subject.label, times))
+            laps.append((i, subject.title, times))
     if not laps:
         return None
     paper = paper_values.table_1()

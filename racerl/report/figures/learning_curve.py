@@ -21,9 +21,7 @@ def draw(subjects: Sequence[Subject]) -> str | None:
             assert log is not None  # noqa: S101
             steps = log["steps"] / 1e6
             if "train/reward" in log:
-                reward.plot(
-                    steps, log["train/reward"], color=colour(i), lw=1.2, label=f"{subject.name}: {subject.label}"
-                )
+                reward.plot(steps, log["train/reward"], color=colour(i), lw=1.2, label=subject.title)
             if "evaluation/mean_lap_s" in log:
                 known = log["evaluation/mean_lap_s"].notna()
                 lap.plot(steps[known], log["evaluation/mean_lap_s"][known], "o-", ms=3, color=colour(i))

@@ -29,7 +29,7 @@ def draw(subjects: Sequence[Subject]) -> str | None:
         for axis, subject in zip(axes, raced, strict=False):
             assert subject.evaluation is not None  # noqa: S101
             lines = _panel(axis, subject.evaluation, limits)
-            axis.set_title(subject.label, fontsize=10)
+            axis.set_title(subject.title, fontsize=10)
         for axis in axes[len(raced) :]:
             axis.set_visible(False)
         figure.colorbar(lines, ax=list(axes[: len(raced)]), label="v_x [m/s]", shrink=0.8)
