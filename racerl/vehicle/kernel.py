@@ -8,6 +8,7 @@ states before it is used. Without a compiler the same step runs on torch.
 """
 
 import ctypes
+import functools
 import hashlib
 import logging
 import math
@@ -226,13 +227,20 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "racerl" / "kernels"
 
 
+@functools.cache
+def _find_compiler() -> str | None:
+    """Return the C compiler's path; say once when there is none."""
+    for name in (os.environ.get("CC"), "cc", "gcc", "clang"):
+        if name and (path := shutil.which(name)):
+            return path
+    log.warning("no C compiler found; simulating on torch, several times slower (install gcc to change that)")
+    return None
+
+
 def _build(code: str) -> ctypes.CDLL | None:
     """Compile the source, or take it from the cache; None (and a line in the log) when that is not possible."""
-    compiler = next(
-        (path for name in (os.environ.get("CC"), "cc", "gcc", "clang") if name and (path := shutil.which(name))), None
-    )
+    compiler = _find_compiler()
     if compiler is None:
-        log.warning("no C compiler found; simulating on torch, several times slower (install gcc to change that)")
         return None
     try:
         version = subprocess.run([compiler, "--version"], capture_output=True, check=True, timeout=30).stdout  # noqa: S603
