@@ -33,6 +33,16 @@ def test_train_evaluate_report(tmp_path):
     assert sorted(path.name for path in (tmp_path / "outputs").iterdir()) == ["evaluate", "report", "train"]
 
 
+def test_warnings_reach_the_user(tmp_path):
+    """Without a compiler on the PATH the simulator falls back to torch, and one line says so."""
+    environment = {"PYTHONPATH": str(ROOT), "PATH": "/nowhere", "HOME": str(tmp_path)}
+    words = ["train", "budget=smoke", "budget.steps=1024", "out=run"]
+    done = subprocess.run(
+        [*PROGRAM, *words], cwd=tmp_path, capture_output=True, text=True, timeout=120, env=environment
+    )
+    assert done.returncode == 0 and done.stderr.count("no C compiler found") == 1, done
+
+
 def test_multirun_gives_each_job_its_folder(tmp_path):
     done = run("train", "-m", "dr=none,friction_0.1", "budget=smoke", "budget.steps=1024", "out=sweep", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
