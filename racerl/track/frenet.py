@@ -76,10 +76,6 @@ class FrenetFrame:
         """Return half of the total width at s in m."""
         return (self.lookup(self.width_left, s) + self.lookup(self.width_right, s)) / 2
 
-    def margin(self, s: Tensor, n: Tensor) -> Tensor:
-        """Return the distance to the nearer boundary in m; negative beyond it."""
-        return torch.minimum(self.lookup(self.width_left, s) - n, self.lookup(self.width_right, s) + n)
-
     def position(self, s: Tensor, n: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return x, y and the centreline's yaw at (s, n), exact to the arc within a cell."""
         index = (self.wrap(s) / self.spacing).round().long()
@@ -99,11 +95,6 @@ class FrenetFrame:
         squared = (x[:, None] - self.x[window]) ** 2 + (y[:, None] - self.y[window]) ** 2
         index = (nearest + self._downhill(squared)) % self.count
         return self._foot_in_cell(x, y, index)
-
-    def project_anywhere(self, x: Tensor, y: Tensor) -> Foot:
-        """Return the foot points nearest on the whole track, for cars of unknown s."""
-        squared = (x[:, None] - self.x) ** 2 + (y[:, None] - self.y) ** 2
-        return self._foot_in_cell(x, y, squared.argmin(dim=1))
 
     def _downhill(self, squared: Tensor) -> Tensor:
         """Return the steps (N,) from the middle of each row to the bottom of its valley."""

@@ -63,6 +63,13 @@ def test_leaving_the_track_costs_one_and_starts_over():
     assert not torch.equal(step.observation, step.final_observation)
 
 
+@pytest.mark.parametrize("n, margin", [(0.0, 0.5), (0.4, 0.1), (-0.7, -0.2)])
+def test_margin_is_the_distance_to_the_nearer_boundary(n, margin):
+    race = make(cars=1)
+    place(race, s=1.0, n=n)
+    assert float(race.margin) == pytest.approx(margin, abs=1e-4)
+
+
 def test_an_episode_is_cut_off_not_ended_after_its_steps():
     race = make("sim.max_steps=3", cars=1)
     place(race, s=0.5)

@@ -90,8 +90,7 @@ def test_a_car_does_not_jump_across_the_infield():
         foot = frame.project(column(6.0), column(float(n)), s)
         s = foot.s
         assert float(foot.s) == pytest.approx(6.0, abs=0.02) and float(foot.n) == pytest.approx(n, abs=2e-3)
-    assert float(frame.margin(foot.s, foot.n)) < -0.4
-    assert float(frame.project_anywhere(column(6.0), column(0.9)).s) > 10.0
+    assert float(foot.n) > 0.44 + 0.4  # far beyond its own boundary, although on the other straight
 
 
 def test_a_crossing_track_keeps_its_branch():
@@ -145,8 +144,3 @@ def test_single_precision_is_precise_enough():
     x, y, _ = FRAME.position(s, n)
     foot = single.project(x.float(), y.float(), s.float())
     assert (foot.n - n).abs().max() < 1e-4 and FRAME.difference(foot.s.double(), s).abs().max() < 1e-3
-
-
-def test_margin_is_the_distance_to_the_nearer_boundary():
-    margin = FRAME.margin(column(1.0, 1.0, 1.0), column(0.0, 0.4, -0.7))
-    assert torch.allclose(margin, column(0.5, 0.1, -0.2))
