@@ -28,6 +28,10 @@ class RunError(RacerlError):
     """A run folder that is incomplete, busy, foreign or of another version."""
 
 
+class LogError(RacerlError):
+    """A drive log that cannot be read, is damaged, or lacks what a stage needs."""
+
+
 class PolicyError(RacerlError):
     """A policy file that is damaged or does not fit the environment."""
 

@@ -1,0 +1,152 @@
+"""The drive log: named channels with units at one uniform rate, cut into runs that nothing may cross.
+
+Columns: `t` in s, `run` (id of one unbroken stretch), and any of `CHANNELS`. Axes and signs are the vehicle's: pose of
+the centre of gravity in the world, velocities in the body frame, x forward, y left, angles counter-clockwise.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from racerl.errors import LogError
+
+
+class Channel(NamedTuple):
+    """Unit, meaning and the largest magnitude that a small car can plausibly show."""
+
+    unit: str
+    meaning: str
+    largest: float
+
+
+CHANNELS = {
+    "x": Channel("m", "position of the centre of gravity in the world", 1e5),
+    "y": Channel("m", "position of the centre of gravity in the world", 1e5),
+    "yaw": Channel("rad", "heading, counter-clockwise", 1e5),
+    "v_x": Channel("m/s", "forward speed of the centre of gravity", 60.0),
+    "v_y": Channel("m/s", "leftward speed of the centre of gravity", 40.0),
+    "yaw_rate": Channel("rad/s", "yaw rate, counter-clockwise", 60.0),
+    "delta": Channel("rad", "measured steering angle, left positive", 1.2),
+    "omega": Channel("m/s", "measured wheel surface speed", 100.0),
+    "delta_ref": Channel("rad", "commanded steering angle", 1.2),
+    "omega_ref": Channel("m/s", "commanded wheel surface speed", 100.0),
+    "current": Channel("A", "motor current", 1000.0),
+}
+POSE, VELOCITY = ("x", "y", "yaw"), ("v_x", "v_y", "yaw_rate")
+JITTER = 0.2  # of the sample time by which a step may differ within a run
+
+
+@dataclass(frozen=True)
+class Log:
+    """A checked drive log; build it with `Log.from_table`.
+
+    `table` has the columns t, run and the channels that were measured, sorted by run in order of appearance and by
+    time. `dt` is the sample time in s. `remarks` says, a line each, what was done to the file's content on the way in.
+    """
+
+    name: str
+    table: pd.DataFrame
+    dt: float
+    remarks: tuple[str, ...] = ()
+
+    @classmethod
+    def from_table(cls, name: str, table: pd.DataFrame, remarks: tuple[str, ...] = ()) -> "Log":
+        """Check a table of channels and return it as a log; raise LogError, one line, for what can't be a drive.
+
+        A missing `run` is made from the gaps in time. Rows with a missing value split the run they lie in.
+        """
+        if "t" not in table:
+            raise LogError(f"{name}: has no column 't'; give a mapping with data=… (conf/data)")
+        columns = [column for column in table if column in CHANNELS]
+        if not columns:
+            raise LogError(f"{name}: has none of the channels {', '.join(CHANNELS)}; give a mapping with data=…")
+        table = table[["t", *(["run"] if "run" in table else []), *columns]].reset_index(drop=True)
+        for column in ("t", *columns):
+            if not pd.api.types.is_numeric_dtype(table[column]) or pd.api.types.is_bool_dtype(table[column]):
+                raise LogError(f"{name}: column '{column}' is not numeric; is it another file or a broken line?")
+            table[column] = table[column].astype(np.float64)
+        # infinities are read as missing: both are gaps in what was measured
+        complete = np.isfinite(table[["t", *columns]].to_numpy()).all(axis=1)
+        if "run" in table:
+            complete &= table["run"].notna().to_numpy()
+        if complete.mean() < 0.5:
+            raise LogError(
+                f"{name}: {1 - complete.mean():.0%} of the rows miss a value; at most half may; "
+                "leave the broken channel out of the file"
+            )
+        if not complete.all():
+            remarks = (*remarks, f"{(~complete).sum()} rows with a missing value left out; runs are split there")
+        dt = sample_time(name, table[complete])
+        table = table[complete].assign(run=_runs(name, table, complete, dt)).reset_index(drop=True)
+        for column in columns:
+            peak = float(table[column].abs().max())
+            if peak > CHANNELS[column].largest:
+                channel = CHANNELS[column]
+                raise LogError(
+                    f"{name}: |{column}| reaches {peak:.4g}, allowed is {channel.largest:g} {channel.unit}; "
+                    "is its unit another one, or the file damaged?"
+                )
+        return cls(name, table[["t", "run", *columns]], dt, remarks)
+
+    @property
+    def channels(self) -> list[str]:
+        """Names of the measured channels."""
+        return [column for column in self.table if column in CHANNELS]
+
+    @property
+    def seconds(self) -> float:
+        """Time driven, in s."""
+        return len(self.table) * self.dt
+
+    def runs(self) -> Iterator[pd.DataFrame]:
+        """Yield the rows of each run."""
+        for _, rows in self.table.groupby("run", sort=False):
+            yield rows
+
+    def array(self, channel: str) -> NDArray[np.float64]:
+        """Return one channel, shape (rows,)."""
+        return self.table[channel].to_numpy()
+
+
+def sample_time(name: str, table: pd.DataFrame) -> float:
+    """Return the time between samples in s; raise LogError when time does not advance."""
+    t = table["t"].to_numpy()
+    steps = np.diff(t)
+    if "run" in table:
+        steps = steps[(table["run"].to_numpy()[1:] == table["run"].to_numpy()[:-1])]
+    if len(steps) == 0:
+        raise LogError(f"{name}: holds {len(table)} usable rows; at least two of one run are needed")
+    back = int((steps <= 0).sum())
+    if back > 0.01 * len(steps) or ("run" in table and back):
+        raise LogError(f"{name}: time does not increase at {back} of {len(steps)} rows; sort them, drop doubled ones")
+    dt = round(float(np.median(steps[steps > 0])), 9)
+    if not 1e-4 <= dt <= 0.5:
+        raise LogError(f"{name}: {dt:.4g} s between samples; allowed is 0.0001 … 0.5 s; is the time in another unit?")
+    return dt
+
+
+def _runs(name: str, table: pd.DataFrame, complete: NDArray[np.bool_], dt: float) -> NDArray[np.int64]:
+    """Return a run id per complete row: the file's runs, split at missing rows and at jumps in time."""
+    rows = table[complete]
+    t = rows["t"].to_numpy()
+    jump = np.abs(np.diff(t) - dt) > JITTER * dt
+    missing = np.diff(np.flatnonzero(complete)) > 1
+    fresh = jump | missing
+    if "run" in rows:
+        code, _ = pd.factorize(rows["run"])
+        change = np.diff(code) != 0
+        entered = code[np.flatnonzero(np.concatenate([[True], change]))]
+        if len(np.unique(entered)) < len(entered):
+            raise LogError(f"{name}: the rows of its runs are mixed up; sort the file by run, then by t")
+        fresh |= change
+        if not (jump | missing)[~change].any():
+            runs = rows["run"].to_numpy()
+            if pd.api.types.is_integer_dtype(runs.dtype):
+                return runs.astype(np.int64)
+    if fresh.mean() > 0.2:
+        raise LogError(f"{name}: {fresh.mean():.0%} of its steps jump in time; resample it to a uniform rate")
+    return np.concatenate([[0], np.cumsum(fresh)]).astype(np.int64)
