@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from racerl.vehicle import kernel
+from racerl.vehicle import codegen, kernel
 from racerl.vehicle.kernel import CompiledMotion, TorchMotion, choose_motion
 from racerl.vehicle.parameter import values
 from tests.vehicle.conftest import random_states
@@ -77,8 +77,8 @@ def test_the_process_keeps_subnormal_numbers(car):
 
 
 def test_without_a_compiler_torch_takes_over_and_says_so_once(car, monkeypatch, caplog):
-    monkeypatch.setattr(kernel, "_find_compiler", functools.cache(kernel._find_compiler.__wrapped__))
-    monkeypatch.setattr(kernel.shutil, "which", lambda name: None)
+    monkeypatch.setattr(codegen, "_find_compiler", functools.cache(codegen._find_compiler.__wrapped__))
+    monkeypatch.setattr(codegen.shutil, "which", lambda name: None)
     with caplog.at_level(logging.WARNING):
         motions = [choose_motion(car, [], 0.01, 5, CPU, torch.float32) for _ in range(2)]
     assert [motion.name for motion in motions] == ["torch", "torch"]
@@ -87,7 +87,7 @@ def test_without_a_compiler_torch_takes_over_and_says_so_once(car, monkeypatch, 
 
 def test_a_broken_compiler_is_survived(car, monkeypatch, caplog, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(kernel, "FLAGS", ("--no-such-flag",))
+    monkeypatch.setattr(codegen, "FLAGS", ("--no-such-flag",))
     with caplog.at_level(logging.WARNING):
         motion = choose_motion(car, [], 0.01, 5, CPU, torch.float32)
     assert motion.name == "torch" and "could not be compiled" in caplog.text

@@ -1,0 +1,139 @@
+"""From CasADi functions to compiled C: one statement per instruction inside a loop over lanes, which the system's
+compiler vectorises.
+
+The library is kept in the user's cache under a hash of source, compiler and processor, so that it is built once and
+many processes may build it at once.
+"""
+
+import ctypes
+import functools
+import hashlib
+import logging
+import math
+import os
+import platform
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+log = logging.getLogger(__name__)
+
+# fast-math lets the compiler take the vector versions of sin, atan, …; NaN still spreads through sums.
+# cos is written as a shifted sin: sin and cos of one angle would be fused to a complex exponential, which has none.
+FLAGS = ("-O3", "-march=native", "-ffast-math", "-fopenmp-simd", "-fPIC")
+BUILD_TIME_LIMIT = 120  # s
+
+PRECISIONS = {
+    "float": "typedef float real;\n"
+    + "".join(f"#define {name.upper()} {name}f\n" for name in ("sin", "atan", "tanh", "exp", "sqrt", "fabs")),
+    "double": "typedef double real;\n"
+    + "".join(f"#define {name.upper()} {name}\n" for name in ("sin", "atan", "tanh", "exp", "sqrt", "fabs")),
+}
+
+
+def statements(function: Any, inputs: Sequence[str], outputs: Sequence[str]) -> str:
+    """Return one C statement per instruction of a CasADi function.
+
+    Inputs and outputs are arrays of `real` with one row per number and one column per lane `l`.
+    """
+    import casadi
+
+    forms = {
+        casadi.OP_ASSIGN: "{0}",
+        casadi.OP_ADD: "{0} + {1}",
+        casadi.OP_SUB: "{0} - {1}",
+        casadi.OP_MUL: "{0} * {1}",
+        casadi.OP_DIV: "{0} / {1}",
+        casadi.OP_NEG: "-{0}",
+        casadi.OP_EXP: "EXP({0})",
+        casadi.OP_SQ: "{0} * {0}",
+        casadi.OP_TWICE: "2 * {0}",
+        casadi.OP_INV: "1 / {0}",
+        casadi.OP_SIN: "SIN({0})",
+        casadi.OP_COS: f"SIN({{0}} + (real){math.pi / 2!r})",
+        casadi.OP_ATAN: "ATAN({0})",
+        casadi.OP_TANH: "TANH({0})",
+        casadi.OP_FABS: "FABS({0})",
+        casadi.OP_SQRT: "SQRT({0})",
+        casadi.OP_LT: "(real)({0} < {1})",
+        casadi.OP_LE: "(real)({0} <= {1})",
+        casadi.OP_EQ: "(real)({0} == {1})",
+        casadi.OP_NE: "(real)({0} != {1})",
+        casadi.OP_NOT: "(real)({0} == 0)",
+        casadi.OP_SIGN: "(real)(({0} > 0) - ({0} < 0))",
+        casadi.OP_FMIN: "({0} < {1} ? {0} : {1})",
+        casadi.OP_FMAX: "({0} > {1} ? {0} : {1})",
+        casadi.OP_IF_ELSE_ZERO: "({0} != 0 ? {1} : 0)",
+    }
+    lines = [f"        real {', '.join(f'w{i}' for i in range(function.sz_w()))};"]
+    for k in range(function.n_instructions()):
+        operation, to, of = (function.instruction_id(k), function.instruction_output(k), function.instruction_input(k))
+        if operation == casadi.OP_CONST:
+            line = f"w{to[0]} = (real){function.instruction_constant(k)!r}"
+        elif operation == casadi.OP_INPUT:
+            line = f"w{to[0]} = {inputs[of[0]]}[{of[1]}][l]"
+        elif operation == casadi.OP_OUTPUT:
+            line = f"{outputs[to[0]]}[{to[1]}][l] = w{of[0]}"
+        else:
+            line = f"w{to[0]} = " + forms[operation].format(*(f"w{i}" for i in of))
+        lines.append(f"        {line};")
+    return "\n".join(lines)
+
+
+def cache_folder() -> Path:
+    """Return where compiled kernels are kept."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "racerl" / "kernels"
+
+
+@functools.cache
+def _find_compiler() -> str | None:
+    """Return the C compiler's path; say once when there is none."""
+    for name in (os.environ.get("CC"), "cc", "gcc", "clang"):
+        if name and (path := shutil.which(name)):
+            return path
+    log.warning("no C compiler found; computing on torch, several times slower (install gcc to change that)")
+    return None
+
+
+def build(code: str) -> ctypes.CDLL | None:
+    """Compile the source, or take it from the cache; None (and a line in the log) when that is not possible."""
+    compiler = _find_compiler()
+    if compiler is None:
+        return None
+    try:
+        version = subprocess.run([compiler, "--version"], capture_output=True, check=True, timeout=30).stdout  # noqa: S603
+        identity = hashlib.sha256("\0".join([code, *FLAGS, version.decode(errors="replace"), _processor()]).encode())
+        library = cache_folder() / f"{identity.hexdigest()[:32]}.so"
+        if not library.is_file():
+            _compile(compiler, code, library)
+        return ctypes.CDLL(str(library))
+    except (OSError, subprocess.SubprocessError) as error:
+        log.warning("the kernel could not be compiled (%s); computing on torch, several times slower", error)
+        return None
+
+
+def _compile(compiler: str, code: str, library: Path) -> None:
+    """Build beside the target and rename, so that many processes may do it at once."""
+    library.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=library.parent) as folder:
+        path, unit, built = (Path(folder) / f"kernel.{suffix}" for suffix in ("c", "o", "so"))
+        path.write_text(code)
+        # linked without -ffast-math, which would make the whole process flush subnormal numbers to zero
+        for command in (
+            [compiler, *FLAGS, "-c", str(path), "-o", str(unit)],
+            [compiler, "-shared", str(unit), "-o", str(built), "-lm"],
+        ):
+            subprocess.run(command, capture_output=True, check=True, timeout=BUILD_TIME_LIMIT)  # noqa: S603
+        built.replace(library)
+
+
+def _processor() -> str:
+    """Return what -march=native depends on."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        return next((line for line in lines if line.startswith(("flags", "Features"))), platform.machine())
+    except OSError:
+        return platform.machine()
