@@ -23,6 +23,7 @@ class Way:
     x: list[float]  # m
     y: list[float]  # m
     speed: list[float]  # m/s
+    clear: bool  # keeps off the margin
 
     @property
     def end(self) -> int:
@@ -39,9 +40,10 @@ class Way:
         return math.hypot(self.x[index] - car.x, self.y[index] - car.y)
 
 
-def find_way(car: Pose, goal: Pose, run_up: float, speed: float, limits: Limits) -> Way:
-    """Return a way from the car to the goal and `run_up` metres on, where `speed` (m/s) is reached.
+def find_way(car: Pose, goal: Pose, run_up: float, speed: float, slow: float, limits: Limits) -> Way:
+    """Return a way from the car to the goal and `run_up` metres on.
 
+    Its turns are driven at `slow`, its end is passed at `speed` (m/s).
     The shortest way that keeps off the margin is taken; when none does, the one that stays farthest inside.
     """
     radius = turn_radius(limits)
@@ -57,7 +59,7 @@ def find_way(car: Pose, goal: Pose, run_up: float, speed: float, limits: Limits)
 
     good = [points for points in ways if clearance(points) >= limits.margin]
     points = min(good, key=len) if good else max(ways, key=clearance)
-    slow, gain = slow_speed(limits), 0.5 * limits.braking
+    gain = 0.5 * limits.braking
     allowed = [slow if bent else 2.2 * slow for _, _, bent in points]
     for i in range(len(allowed) - 2, -1, -1):
         allowed[i] = min(allowed[i], math.sqrt(allowed[i + 1] ** 2 + 2.0 * gain * SPACING))
@@ -69,12 +71,19 @@ def find_way(car: Pose, goal: Pose, run_up: float, speed: float, limits: Limits)
     points = points + [(goal.x + i * SPACING * cos, goal.y + i * SPACING * sin, False) for i in range(1, count)]
     final = max(speed, SLOWEST)
     allowed += [min(final, math.sqrt(allowed[-1] ** 2 + 2.0 * gain * i * SPACING)) for i in range(1, count)]
-    return Way([x for x, _, _ in points], [y for _, y, _ in points], allowed)
+    return Way([x for x, _, _ in points], [y for _, y, _ in points], allowed, bool(good))
 
 
-def slow_speed(limits: Limits) -> float:
-    """Return the speed in m/s at which ways are turned: well inside the grip."""
-    return math.sqrt(0.45 * limits.grip * turn_radius(limits))
+def turned(car: Pose, side: int, angle: float, limits: Limits) -> Pose:
+    """Return where the car is after turning by `angle` rad to a side (1 left)."""
+    radius, yaw = side * turn_radius(limits), car.yaw + side * angle
+    x, y = car.x - radius * math.sin(car.yaw), car.y + radius * math.cos(car.yaw)
+    return Pose(x + radius * math.sin(yaw), y - radius * math.cos(yaw), yaw)
+
+
+def slow_speed(limits: Limits, share: float = 0.45) -> float:
+    """Return the speed in m/s at which a way's turns use a share of the grip."""
+    return math.sqrt(share * limits.grip * turn_radius(limits))
 
 
 def turn_radius(limits: Limits) -> float:
@@ -82,9 +91,9 @@ def turn_radius(limits: Limits) -> float:
     return 1.15 * limits.turning_radius
 
 
-def run_up_length(speed: float, limits: Limits) -> float:
-    """Return the metres needed to reach a speed from that of the turns, and to settle."""
-    return max(0.0, speed**2 - slow_speed(limits) ** 2) / limits.braking + 0.15 * speed + 0.2
+def run_up_length(speed: float, slow: float, limits: Limits) -> float:
+    """Return the metres needed to reach a speed from the slow one, and to settle."""
+    return max(0.0, speed**2 - slow**2) / limits.braking + 0.15 * speed + 0.2
 
 
 def follow(way: Way, index: int, car: Measured, limits: Limits) -> tuple[float, float]:

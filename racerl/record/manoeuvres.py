@@ -253,7 +253,7 @@ def reference_block(limits: Limits) -> list[Manoeuvre]:
     return [
         CoastDown(speed=0.8 * quick, seconds=1.5, rate=0.3 * limits.braking),
         *(StepSteer(speed=0.6 * quick, seconds=1.0, turn=side, radius=1.5, angle=0.5 * lock) for side in (1, -1)),
-        *(_circle(limits, side, 0.5, 1.0, 4.0) for side in (1, -1)),
+        *(_circle(limits, side, 0.5, 1.0, 3.0) for side in (1, -1)),
         LaunchAndBrake(speed=0.3, seconds=1.6, top=quick, hold=0.8),
     ]
 

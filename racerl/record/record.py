@@ -56,10 +56,12 @@ def record(
     )
     current_limit = float(driven.drive.current_limit) if sim["drive"] == "motor_current" else None  # type: ignore[attr-defined]
 
+    pose = driver.start(scene)
     folder = RunFolder.start(out, "record", settings, seed=settings["seed"])
     recording = simulate(
         driven,
         driver,
+        pose,
         scene,
         sensors,
         step=settings["step"],

@@ -33,14 +33,17 @@ class Plant:
         steps = max(1, math.ceil(dt / step - 1e-9))
         state, command = casadi.SX.sym("x", len(vehicle.states)), casadi.SX.sym("u", 2)
         after = advance(vehicle, state, command, dt / steps, steps, CasadiOps())
-        self._function: Any = casadi.Function("advance", [state, command], [after])
         self.state, self._command = np.zeros(len(vehicle.states)), np.zeros(2)
         self._after = np.zeros(len(vehicle.states))
-        self._buffer, self._evaluate = self._function.buffer()
+        self._connect(casadi.Function("advance", [state, command], [after]))
+        self.state[:3] = pose
+
+    def _connect(self, function: Any) -> None:
+        """Let the function read and write the arrays in place."""
+        self._buffer, self._evaluate = function.buffer()
         self._buffer.set_arg(0, self.state.data)
         self._buffer.set_arg(1, self._command.data)
         self._buffer.set_res(0, self._after.data)
-        self.state[:3] = pose
 
     def advance(self, delta_ref: float, drive_ref: float) -> None:
         """Hold a command for one control period."""
@@ -84,6 +87,7 @@ class Recording:
 def simulate(
     vehicle: Vehicle,
     driver: Driver,
+    pose: Pose,
     scene: Scene,
     sensors: Sensors,
     *,
@@ -92,12 +96,11 @@ def simulate(
     current_limit: float | None = None,
     on_progress: Callable[[float], None] = lambda share: None,
 ) -> Recording:
-    """Drive `vehicle` for `scene.seconds`, integrated with steps of at most `step` s.
+    """Drive `vehicle` from `pose` for `scene.seconds`, integrated with steps of at most `step` s.
 
     With a `current_limit` (A) the car takes currents: a speed controller follows the driver's wheel speed.
     """
     dt, rows = scene.dt, round(scene.seconds / scene.dt)
-    pose = driver.start(scene)
     plant, tracker = Plant(vehicle, pose, dt, step), Tracker(pose, dt)
     truth, command = np.zeros((rows, len(STATE))), np.zeros((rows, 2))
     measured = sensors.noise(rows, generator)[:, :5]
