@@ -40,25 +40,27 @@ class Way:
         return math.hypot(self.x[index] - car.x, self.y[index] - car.y)
 
 
-def find_way(car: Pose, goal: Pose, run_up: float, speed: float, slow: float, limits: Limits) -> Way:
+def find_way(
+    car: Pose, goal: Pose, run_up: float, speed: float, slow: float, limits: Limits, tighter: bool = False
+) -> Way:
     """Return a way from the car to the goal and `run_up` metres on.
 
     Its turns are driven at `slow`, its end is passed at `speed` (m/s).
-    The shortest way that keeps off the margin is taken; when none does, the one that stays farthest inside.
+    The shortest way that keeps off the margin is taken, of tighter turns if those are allowed and needed; when none
+    does, the one that stays farthest inside.
     """
-    radius = turn_radius(limits)
-    ways = [
-        points
-        for first in (1, -1)
-        for last in (1, -1)
-        if (points := _points(car, goal, radius, first, last)) is not None
-    ]
-
-    def clearance(points: list[Point]) -> float:
-        return min(min(limits.half_x - abs(x), limits.half_y - abs(y)) for x, y, _ in points)
-
-    good = [points for points in ways if clearance(points) >= limits.margin]
-    points = min(good, key=len) if good else max(ways, key=clearance)
+    for radius in (limits.way_radius, limits.turning_radius, 0.85 * limits.turning_radius):
+        ways = [
+            points
+            for first in (1, -1)
+            for last in (1, -1)
+            if (points := _points(car, goal, radius, first, last)) is not None
+        ]
+        clear = [points for points in ways if _clearance(points, limits) >= limits.margin]
+        if clear or not tighter:
+            break
+    points = min(clear, key=len) if clear else max(ways, key=lambda points: _clearance(points, limits))
+    slow = min(slow, slow_speed(limits, 0.25)) if radius < limits.way_radius else slow
     gain = 0.5 * limits.braking
     allowed = [slow if bent else 2.2 * slow for _, _, bent in points]
     for i in range(len(allowed) - 2, -1, -1):
@@ -71,24 +73,19 @@ def find_way(car: Pose, goal: Pose, run_up: float, speed: float, slow: float, li
     points = points + [(goal.x + i * SPACING * cos, goal.y + i * SPACING * sin, False) for i in range(1, count)]
     final = max(speed, SLOWEST)
     allowed += [min(final, math.sqrt(allowed[-1] ** 2 + 2.0 * gain * i * SPACING)) for i in range(1, count)]
-    return Way([x for x, _, _ in points], [y for _, y, _ in points], allowed, bool(good))
+    return Way([x for x, _, _ in points], [y for _, y, _ in points], allowed, bool(clear))
 
 
 def turned(car: Pose, side: int, angle: float, limits: Limits) -> Pose:
     """Return where the car is after turning by `angle` rad to a side (1 left)."""
-    radius, yaw = side * turn_radius(limits), car.yaw + side * angle
+    radius, yaw = side * limits.way_radius, car.yaw + side * angle
     x, y = car.x - radius * math.sin(car.yaw), car.y + radius * math.cos(car.yaw)
     return Pose(x + radius * math.sin(yaw), y - radius * math.cos(yaw), yaw)
 
 
 def slow_speed(limits: Limits, share: float = 0.45) -> float:
     """Return the speed in m/s at which a way's turns use a share of the grip."""
-    return math.sqrt(share * limits.grip * turn_radius(limits))
-
-
-def turn_radius(limits: Limits) -> float:
-    """Return the radius in m of a way's turns, wider than the tightest to leave room for corrections."""
-    return 1.15 * limits.turning_radius
+    return math.sqrt(share * limits.grip * limits.way_radius)
 
 
 def run_up_length(speed: float, slow: float, limits: Limits) -> float:
@@ -114,6 +111,11 @@ def follow(way: Way, index: int, car: Measured, limits: Limits) -> tuple[float, 
 def clip(value: float, limit: float) -> float:
     """Return the value inside ± limit."""
     return min(max(value, -limit), limit)
+
+
+def _clearance(points: list[Point], limits: Limits) -> float:
+    """Return the smallest distance from the edge in m."""
+    return min(min(limits.half_x - abs(x), limits.half_y - abs(y)) for x, y, _ in points)
 
 
 def _points(car: Pose, goal: Pose, radius: float, first: int, last: int) -> list[Point] | None:

@@ -8,12 +8,10 @@ import math
 from dataclasses import dataclass
 
 from racerl.errors import ConfigError
+from racerl.record.ability import Cornering, braking
 from racerl.record.drivers import Measured, Scene
-from racerl.vehicle.ops import TORCH
-from racerl.vehicle.vehicle import GRAVITY, Vehicle
 
 TRUSTED = 0.65  # share of the vehicle's braking that is counted on: the driven car may be more slippery
-BRAKING_SLIP = -1.0  # slip ratio of braking: locked wheels stop any car along its course
 REACTION = 0.15  # s until a command has become a force
 SLACK = 1.3  # turning circle that is counted on, as a share of the smallest
 
@@ -42,8 +40,8 @@ class Limits:
             steering_max=steering_max,
             speed_max=speed_max,
             wheelbase=float(vehicle.wheelbase),
-            grip=_grip(vehicle),
-            braking=_braking(vehicle),
+            grip=Cornering.of(vehicle).grip,
+            braking=braking(vehicle),
         )
         needed = 2.0 * (limits.margin + 2.2 * limits.turning_radius)
         if min(scene.floor) < needed:
@@ -58,9 +56,14 @@ class Limits:
         return SLACK * self.wheelbase / math.tan(self.steering_max)
 
     @property
+    def way_radius(self) -> float:
+        """Radius of the turns of a way in m, wider than the tightest to leave room for corrections."""
+        return 1.15 * self.turning_radius
+
+    @property
     def keep(self) -> float:
         """Distance from the edge at which the car can still turn around from any heading, in m."""
-        return self.turning_radius + self.margin
+        return self.way_radius + self.margin
 
     def radius(self, speed: float) -> float:
         """Return the radius of a turn at the limit of grip, in m."""
@@ -82,20 +85,3 @@ class Limits:
         course = car.yaw + math.atan2(car.v_y, car.v_x)
         way = self.stopping(speed)
         return self.inside(car.x + way * math.cos(course), car.y + way * math.sin(course), inset)
-
-
-def _braking(vehicle: Vehicle) -> float:
-    """Return the deceleration in m/s² that both axles give with locked wheels."""
-    weight = float(vehicle.mass) * GRAVITY / float(vehicle.wheelbase)
-    front, _ = vehicle.front.forces(BRAKING_SLIP, 0.0, weight * float(vehicle.l_r), vehicle.friction, TORCH)
-    rear, _ = vehicle.rear.forces(BRAKING_SLIP, 0.0, weight * float(vehicle.l_f), vehicle.friction, TORCH)
-    return -float(front + rear) / float(vehicle.mass)
-
-
-def _grip(vehicle: Vehicle) -> float:
-    """Return the lateral acceleration in m/s² that the weaker axle carries at 0.35 slip."""
-    weight = float(vehicle.mass) * GRAVITY / float(vehicle.wheelbase)
-    F_zf, F_zr = weight * float(vehicle.l_r), weight * float(vehicle.l_f)
-    _, front = vehicle.front.forces(0.0, 0.35, F_zf, vehicle.friction, TORCH)
-    _, rear = vehicle.rear.forces(0.0, 0.35, F_zr, vehicle.friction, TORCH)
-    return GRAVITY * min(float(front) / F_zf, float(rear) / F_zr)

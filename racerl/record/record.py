@@ -43,7 +43,6 @@ def record(
     configured = load_vehicle(settings["vehicle"], sim["drive"], actuators)
     document = vehicle_document(settings["vehicle"], hidden.draw(configured), sim["drive"])
     driven = load_vehicle(document, sim["drive"], actuators)
-    driver = create_driver(settings["drive"])
     noise, choices = (np.random.default_rng(child) for child in np.random.SeedSequence(settings["seed"]).spawn(2))
     floor_x, floor_y = (float(side) for side in settings["floor"])
     scene = Scene(
@@ -56,12 +55,12 @@ def record(
     )
     current_limit = float(driven.drive.current_limit) if sim["drive"] == "motor_current" else None  # type: ignore[attr-defined]
 
-    pose = driver.start(scene)
+    pose, driving = create_driver(settings["drive"]).begin(scene)
     folder = RunFolder.start(out, "record", settings, seed=settings["seed"])
     recording = simulate(
         driven,
-        driver,
         pose,
+        driving,
         scene,
         sensors,
         step=settings["step"],

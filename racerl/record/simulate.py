@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from racerl.errors import RunError
-from racerl.record.drivers import Driver, Measured, Pose, Scene
+from racerl.record.drivers import Drive, Measured, Pose, Scene
 from racerl.record.sensors import Sensors
 from racerl.vehicle.integrate import advance
 from racerl.vehicle.ops import CasadiOps
@@ -86,8 +86,8 @@ class Recording:
 
 def simulate(
     vehicle: Vehicle,
-    driver: Driver,
     pose: Pose,
+    driving: Callable[[Measured], Drive],
     scene: Scene,
     sensors: Sensors,
     *,
@@ -96,7 +96,7 @@ def simulate(
     current_limit: float | None = None,
     on_progress: Callable[[float], None] = lambda share: None,
 ) -> Recording:
-    """Drive `vehicle` from `pose` for `scene.seconds`, integrated with steps of at most `step` s.
+    """Drive `vehicle` from `pose` by `driving` for `scene.seconds`, integrated with steps of at most `step` s.
 
     With a `current_limit` (A) the car takes currents: a speed controller follows the driver's wheel speed.
     """
@@ -105,7 +105,7 @@ def simulate(
     truth, command = np.zeros((rows, len(STATE))), np.zeros((rows, 2))
     measured = sensors.noise(rows, generator)[:, :5]
     run, doing = np.zeros(rows, dtype=np.int64), []
-    drive = None
+    drive: Drive | None = None
     for k in range(rows):
         truth[k] = plant.state[: len(STATE)]
         if not np.isfinite(plant.state).all():
@@ -115,7 +115,7 @@ def simulate(
         x, y, yaw, delta, omega = measured[k].tolist()
         seen = Measured(k * dt, x, y, yaw, *tracker.update((x, y, yaw)), delta, omega)
         if drive is None:
-            drive = driver.drive(scene, seen)
+            drive = driving(seen)
             order = next(drive)
         else:
             order = drive.send(seen)

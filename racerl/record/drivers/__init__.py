@@ -4,7 +4,7 @@ A driver sees what a real car's driver would: noisy measurements, and the config
 it sits in. It is a coroutine: it yields a command, and receives the measurement at the end of that control step.
 """
 
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
@@ -64,11 +64,8 @@ Drive = Generator[Command, Measured, None]
 class Driver(Protocol):
     """Drives one car."""
 
-    def start(self, scene: Scene) -> Pose:
-        """Return where the car stands at the beginning."""
-
-    def drive(self, scene: Scene, measured: Measured) -> Drive:
-        """Yield a command for each measurement, the first for `measured`, without end."""
+    def begin(self, scene: Scene) -> tuple[Pose, Callable[[Measured], Drive]]:
+        """Return where the car stands at first, and what drives it from its first measurement on, without end."""
 
 
 def create_driver(settings: Mapping[str, Any]) -> Driver:

@@ -7,11 +7,11 @@ to stay on the floor. A new run begins after every `block` seconds, between two 
 
 import logging
 import math
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 
 from racerl.errors import ConfigError
-from racerl.record.approach import SPACING, clip, find_way, follow, run_up_length, slow_speed, turn_radius, turned
+from racerl.record.approach import SPACING, clip, find_way, follow, run_up_length, slow_speed, turned
 from racerl.record.drivers import Command, Drive, Measured, Pose, Scene
 from racerl.record.floor import Limits
 from racerl.record.manoeuvres import Manoeuvre, catalogue, reference_block
@@ -47,17 +47,12 @@ class Programme:
         if isinstance(self.block, bool) or not isinstance(self.block, (int, float)) or not 5.0 <= self.block <= 600.0:
             raise ConfigError(f"drive.block = {self.block}: allowed is 5 … 600 s")
 
-    def start(self, scene: Scene) -> Pose:
-        """Return the middle of the floor, along its longer side; raise ConfigError when the car cannot turn there."""
-        self._limits(scene)
-        return Pose(0.0, 0.0, 0.0 if scene.floor[0] >= scene.floor[1] else math.pi / 2)
-
-    def drive(self, scene: Scene, measured: Measured) -> Drive:
-        """Drive the reference block, shuffled rounds, and the reference block again."""
-        return _Pilot(self, scene, self._limits(scene)).drive(measured)
-
-    def _limits(self, scene: Scene) -> Limits:
-        return Limits.of(scene, self.margin, self.steering_max, self.speed_max)
+    def begin(self, scene: Scene) -> tuple[Pose, Callable[[Measured], Drive]]:
+        """Start in the middle of the floor, along its longer side."""
+        limits = Limits.of(scene, self.margin, self.steering_max, self.speed_max)
+        return Pose(0.0, 0.0, 0.0 if scene.floor[0] >= scene.floor[1] else math.pi / 2), _Pilot(
+            self, scene, limits
+        ).drive
 
 
 class _Pilot:
@@ -68,6 +63,7 @@ class _Pilot:
         self.run, self.run_start, self.doing = 0, 0.0, "transit"
 
     def drive(self, car: Measured) -> Drive:
+        """Drive the reference block, shuffled rounds, and the reference block again."""
         block = reference_block(self.limits)
         for manoeuvre in block:
             car = yield from self.perform(manoeuvre, True, car)
@@ -122,11 +118,9 @@ class _Pilot:
             into = math.atan2(car.v_y + 0.5 * self.limits.wheelbase * car.yaw_rate, max(car.v_x, 0.3))
             if self.limits.safe(car, self.limits.keep):
                 target = max(min(target, car.v_x + 0.3) - 0.4 * self.limits.braking * self.scene.dt, 0.0)
-                omega_ref = target
             else:
                 target = 0.0
-                omega_ref = 0.0
-            car = yield self.command(into, omega_ref if car.v_x > 0 else 0.0, "brake")
+            car = yield self.command(into, target if car.v_x > 0 else 0.0, "brake")
         return car
 
     def approach(self, manoeuvre: Manoeuvre, fixed: bool, car: Measured) -> Leg:
@@ -138,17 +132,24 @@ class _Pilot:
         here = Pose(car.x, car.y, car.yaw)
         starts = home_starts(manoeuvre, run_up, limits)
         goal = starts[0] if fixed else self.choose(here, manoeuvre, run_up, slow, starts)
-        way, index = find_way(here, goal, run_up, manoeuvre.speed, slow, limits), 0
+        way, index = find_way(here, goal, run_up, manoeuvre.speed, slow, limits, tighter=True), 0
         while index < way.end and car.t - since < PATIENCE:
             index = way.nearest(car, index)
             if way.distance(car, index) > ASTRAY:
                 car = yield from self.stop(car)
-                way, index = find_way(Pose(car.x, car.y, car.yaw), goal, run_up, manoeuvre.speed, slow, limits), 0
+                here = Pose(car.x, car.y, car.yaw)
+                way, index = find_way(here, goal, run_up, manoeuvre.speed, slow, limits, tighter=True), 0
             delta_ref, omega_ref = follow(way, index, car, limits)
-            if not limits.safe(car, 0.3 * limits.margin):
-                omega_ref = min(omega_ref, CRAWL)
+            if not limits.safe(car, 0.5 * limits.margin):
+                delta_ref, omega_ref = self.escape(car, delta_ref), min(omega_ref, CRAWL)
             car = yield self.command(delta_ref, omega_ref, "transit")
         return car
+
+    def escape(self, car: Measured, delta_ref: float) -> float:
+        """Return full lock: to the side that is steered to, or else to the floor's middle."""
+        lock = self.limits.steering_max
+        left = math.sin(car.yaw) * car.x - math.cos(car.yaw) * car.y
+        return math.copysign(lock, delta_ref if abs(delta_ref) > 0.3 * lock else left)
 
     def choose(self, here: Pose, manoeuvre: Manoeuvre, run_up: float, slow: float, starts: list[Pose]) -> Pose:
         """Return the start that is soonest reached, among here, at home and anywhere, with room for the most."""
@@ -180,7 +181,7 @@ class _Pilot:
 
 def can_turn(start: Pose, limits: Limits) -> bool:
     """Tell whether turning circles to both sides lie on the floor, so that a way leads here from anywhere."""
-    radius = turn_radius(limits)
+    radius = limits.way_radius
     across, along = radius * math.sin(start.yaw), radius * math.cos(start.yaw)
     inset = radius + limits.margin
     return limits.inside(start.x - across, start.y + along, inset) and limits.inside(
@@ -204,7 +205,7 @@ def room(start: Pose, manoeuvre: Manoeuvre, run_up: float, limits: Limits) -> fl
 def home_starts(manoeuvre: Manoeuvre, run_up: float, limits: Limits) -> list[Pose]:
     """Return two run-ups along the floor, one each way: from its far end, or so that a turn has its middle there."""
     along, across = max(limits.half_x, limits.half_y), min(limits.half_x, limits.half_y)
-    turn = turn_radius(limits)
+    turn = limits.way_radius
     back = along - 2.0 * limits.margin - turn
     x = -back if manoeuvre.turn == 0 else max(-back, min(-0.3, along - limits.keep - manoeuvre.radius) - run_up)
     y = clip(-manoeuvre.turn * manoeuvre.radius, max(0.0, across - 1.2 * limits.margin - 2.0 * turn))
