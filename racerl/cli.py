@@ -88,6 +88,15 @@ def evaluate(arguments: Run = None) -> None:
 
 
 @app.command(context_settings=HYDRA)
+def record(overrides: Overrides = None) -> None:
+    """Drive a simulated car and write a drive log: racerl record drive=programme out=outputs/record/first
+
+    Groups: car vehicle sim track drive. Writes log.parquet, with the sensors' noise, and vehicle.yaml, what was driven.
+    """
+    _run("record", overrides, _record)
+
+
+@app.command(context_settings=HYDRA)
 def report(arguments: Runs = None) -> None:
     """Draw the report: racerl report [RUN...]
 
@@ -155,6 +164,25 @@ def _evaluate(settings: "Settings", out: Path) -> None:
         metrics = evaluate(settings, out, lambda done, total: bar.show(done / total, f"lap {done} of {total}"))
     _print_metrics(console, metrics)
     console.print(f"results in {out / METRICS}; draw them with: racerl report {out}", highlight=False, soft_wrap=True)
+
+
+def _record(settings: "Settings", out: Path) -> None:
+    from racerl.console import Bar
+    from racerl.record.record import record
+
+    console = _console()
+    seconds = settings["seconds"]
+    with Bar(console, "record") as bar:
+        facts = record(settings, out, lambda share: bar.show(share, f"{share * seconds:.0f} of {seconds:g} s driven"))
+    console.print(
+        f"{facts['rows']:,} rows in {facts['runs']} runs in {out / settings['file']}: "
+        f"up to {facts['speed_max']:.1f} m/s, "
+        f"slip angles {facts['alpha_f_low']:.2f} … {facts['alpha_f_high']:.2f} rad in front and "
+        f"{facts['alpha_r_low']:.2f} … {facts['alpha_r_high']:.2f} rad at the rear, "
+        f"slip ratios {facts['kappa_low']:.2f} … {facts['kappa_high']:.2f} (1 % quantiles)",
+        highlight=False,
+        soft_wrap=True,
+    )
 
 
 def _print_metrics(console: Any, metrics: dict[str, Any]) -> None:

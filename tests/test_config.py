@@ -5,6 +5,7 @@ import pytest
 from racerl.assemble import build_race
 from racerl.config import compose_settings, default_groups, make_env, run_command
 from racerl.errors import ConfigError, RacerlError
+from racerl.record.drivers import create_driver
 from racerl.registry import construct
 from racerl.train.ppo import Budget
 from tests.conftest import CONF
@@ -25,7 +26,9 @@ def test_no_file_is_left_out():
     rest = {
         "train.yaml",
         "evaluate.yaml",
+        "record.yaml",
         "report.yaml",
+        *(f"drive/{path.name}" for path in (CONF / "drive").glob("*.yaml")),  # composed below
         "track/file.yaml",
         "vehicle/file.yaml",
         "car/model.yaml",
@@ -46,10 +49,16 @@ def test_every_choice_composes_and_drives(choice):
     assert torch.isfinite(step.observation).all() and race.faults == 0
 
 
-@pytest.mark.parametrize("command", ["train", "evaluate", "report"])
+@pytest.mark.parametrize("command", ["train", "evaluate", "record", "report"])
 def test_every_command_composes(command):
     settings = compose_settings(command, ["run=x"] if command == "evaluate" else [])
     assert settings["out"].startswith(f"outputs/{command}/")
+
+
+@pytest.mark.parametrize("name", [path.stem for path in sorted((CONF / "drive").glob("*.yaml"))])
+def test_every_drive_composes_and_builds(name):
+    settings = compose_settings("record", [f"drive={name}"])
+    assert settings["drive"]["name"] == name and create_driver(settings["drive"])
 
 
 @pytest.mark.parametrize("word", ["dr=friction_0.05", "+dr=friction_0.05", "++dr=friction_0.05"])

@@ -1,0 +1,67 @@
+"""Hidden cars: vehicles whose parameters are drawn around the configured ones, to be recovered from their logs."""
+
+import copy
+import fnmatch
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from racerl.documents import read_yaml
+from racerl.errors import ConfigError, suggest
+from racerl.vehicle.parameter import specifications, values
+from racerl.vehicle.vehicle import Vehicle
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """Each chosen parameter is multiplied by a draw from U(1 − spread, 1 + spread), inside its physical bounds."""
+
+    spread: float = 0.0
+    seed: int = 0
+    parameters: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        if isinstance(self.spread, bool) or not isinstance(self.spread, (int, float)) or not 0.0 <= self.spread < 1.0:
+            raise ConfigError(f"hidden.spread = {self.spread}: allowed is 0 … 1 (a share of each value)")
+        if isinstance(self.seed, bool) or not isinstance(self.seed, int) or self.seed < 0:
+            raise ConfigError(f"hidden.seed = {self.seed}: allowed is a whole number from 0")
+        if isinstance(self.parameters, str) or not all(isinstance(name, str) for name in self.parameters):
+            raise ConfigError(f"hidden.parameters = {self.parameters}: a list of names or patterns is expected")
+
+    def draw(self, vehicle: Vehicle) -> dict[str, float]:
+        """Return the drawn values by dotted name; none without a spread."""
+        if self.spread == 0.0:
+            return {}
+        known, bounds = values(vehicle), specifications(vehicle)
+        generator = np.random.default_rng(self.seed)
+        drawn = {}
+        for pattern in self.parameters:
+            names = fnmatch.filter(known, pattern)
+            if not names:
+                raise ConfigError(
+                    f"hidden.parameters: '{pattern}' matches no vehicle parameter{suggest(pattern, known)}"
+                )
+            for name in names:
+                value = float(known[name]) * generator.uniform(1.0 - self.spread, 1.0 + self.spread)
+                drawn[name] = float(np.clip(value, bounds[name].low, bounds[name].high))
+        return drawn
+
+
+def vehicle_document(settings: Mapping[str, Any], changes: Mapping[str, float], drive: str) -> dict[str, Any]:
+    """Return settings in the form of `conf/vehicle/*.yaml` with the values of `changes` (by dotted name) put in.
+
+    `drive` is the section that the vehicle's `drive` parameters stand in: wheel_speed or motor_current.
+    """
+    if "file" in settings:
+        settings = {**read_yaml(Path(settings["file"])), **{k: v for k, v in settings.items() if k != "file"}}
+    document = copy.deepcopy(dict(settings))
+    for name, value in changes.items():
+        *path, key = name.split(".")
+        section = document
+        for part in path:
+            section = section[drive if part == "drive" else part]
+        section[key] = value
+    return document

@@ -1,0 +1,131 @@
+"""One car, driven and measured in continuous time.
+
+The truth is integrated in double precision with steps finer than the control period, by the one derivative that CasADi
+has traced. Single precision would not do: after half an hour a step of a millisecond is four units in the last place.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from racerl.errors import RunError
+from racerl.record.drivers import Drive, Measured, Pose, Scene
+from racerl.record.sensors import Sensors
+from racerl.vehicle.integrate import advance
+from racerl.vehicle.ops import CasadiOps
+from racerl.vehicle.vehicle import STATE, Vehicle
+
+Array = NDArray[np.float64]
+SPEED_GAIN = 40.0  # A per m/s of wheel speed error, where the car takes currents
+TRACKING = (0.4, 0.1)  # α, β of the driver's estimate of velocities from poses
+
+
+class Plant:
+    """The car's state, advanced by one control period at a time."""
+
+    def __init__(self, vehicle: Vehicle, pose: Pose, dt: float, step: float) -> None:
+        import casadi
+
+        steps = max(1, math.ceil(dt / step - 1e-9))
+        state, command = casadi.SX.sym("x", len(vehicle.states)), casadi.SX.sym("u", 2)
+        after = advance(vehicle, state, command, dt / steps, steps, CasadiOps())
+        self.state, self._command = np.zeros(len(vehicle.states)), np.zeros(2)
+        self._after = np.zeros(len(vehicle.states))
+        self._connect(casadi.Function("advance", [state, command], [after]))
+        self.state[:3] = pose
+
+    def _connect(self, function: Any) -> None:
+        """Let the function read and write the arrays in place."""
+        self._buffer, self._evaluate = function.buffer()
+        self._buffer.set_arg(0, self.state.data)
+        self._buffer.set_arg(1, self._command.data)
+        self._buffer.set_res(0, self._after.data)
+
+    def advance(self, delta_ref: float, drive_ref: float) -> None:
+        """Hold a command for one control period."""
+        self._command[0], self._command[1] = delta_ref, drive_ref
+        self._evaluate()
+        self.state[:] = self._after
+
+
+class Tracker:
+    """An α-β filter per coordinate: the velocities that a driver on board can know."""
+
+    def __init__(self, pose: Pose, dt: float) -> None:
+        self.dt = dt
+        self.place, self.rate = list(pose), [0.0, 0.0, 0.0]
+
+    def update(self, pose: tuple[float, float, float]) -> tuple[float, float, float]:
+        """Return (v_x, v_y, yaw_rate) in the body frame."""
+        alpha, beta = TRACKING
+        for i, measured in enumerate(pose):
+            expected = self.place[i] + self.dt * self.rate[i]
+            error = measured - expected
+            self.place[i] = expected + alpha * error
+            self.rate[i] += beta / self.dt * error
+        sin, cos = math.sin(self.place[2]), math.cos(self.place[2])
+        x_rate, y_rate, yaw_rate = self.rate
+        return cos * x_rate + sin * y_rate, cos * y_rate - sin * x_rate, yaw_rate
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A drive of K rows: what was true, what was measured and what was commanded."""
+
+    dt: float  # s
+    run: NDArray[np.int64]  # (K,)
+    doing: list[str]
+    truth: Array  # (K, 8), columns as STATE
+    measured: Array  # (K, 5): x, y, yaw, delta, omega
+    command: Array  # (K, 2): delta_ref in rad, drive_ref in m/s or A
+
+
+def simulate(
+    vehicle: Vehicle,
+    pose: Pose,
+    driving: Callable[[Measured], Drive],
+    scene: Scene,
+    sensors: Sensors,
+    *,
+    step: float,
+    generator: np.random.Generator,
+    current_limit: float | None = None,
+    on_progress: Callable[[float], None] = lambda share: None,
+) -> Recording:
+    """Drive `vehicle` from `pose` by `driving` for `scene.seconds`, integrated with steps of at most `step` s.
+
+    With a `current_limit` (A) the car takes currents: a speed controller follows the driver's wheel speed.
+    """
+    dt, rows = scene.dt, round(scene.seconds / scene.dt)
+    plant, tracker = Plant(vehicle, pose, dt, step), Tracker(pose, dt)
+    truth, command = np.zeros((rows, len(STATE))), np.zeros((rows, 2))
+    measured = sensors.noise(rows, generator)[:, :5]
+    run, doing = np.zeros(rows, dtype=np.int64), []
+    drive: Drive | None = None
+    for k in range(rows):
+        truth[k] = plant.state[: len(STATE)]
+        if not np.isfinite(plant.state).all():
+            last = ", ".join(f"{name} = {value:.4g}" for name, value in zip(STATE, truth[k - 1], strict=True))
+            raise RunError(f"the simulation failed at t = {k * dt:.2f} s after {last}; give a smaller step=")
+        measured[k] += truth[k, [0, 1, 2, 6, 7]]
+        x, y, yaw, delta, omega = measured[k].tolist()
+        seen = Measured(k * dt, x, y, yaw, *tracker.update((x, y, yaw)), delta, omega)
+        if drive is None:
+            drive = driving(seen)
+            order = next(drive)
+        else:
+            order = drive.send(seen)
+        drive_ref = order.omega_ref
+        if current_limit is not None:
+            drive_ref = min(max(SPEED_GAIN * (order.omega_ref - omega), -current_limit), current_limit)
+        command[k] = order.delta_ref, drive_ref
+        run[k] = order.run
+        doing.append(order.doing)
+        plant.advance(order.delta_ref, drive_ref)
+        if k % 2000 == 0:
+            on_progress(k / rows)
+    return Recording(dt, run, doing, truth, measured, command)
