@@ -1,15 +1,11 @@
 """Hidden cars: vehicles whose parameters are drawn around the configured ones, to be recovered from their logs."""
 
-import copy
 import fnmatch
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from racerl.documents import read_yaml
 from racerl.errors import ConfigError, suggest
 from racerl.vehicle.parameter import specifications, values
 from racerl.vehicle.vehicle import Vehicle
@@ -48,20 +44,3 @@ class Hidden:
                 value = float(known[name]) * generator.uniform(1.0 - self.spread, 1.0 + self.spread)
                 drawn[name] = float(np.clip(value, bounds[name].low, bounds[name].high))
         return drawn
-
-
-def vehicle_document(settings: Mapping[str, Any], changes: Mapping[str, float], drive: str) -> dict[str, Any]:
-    """Return settings in the form of `conf/vehicle/*.yaml` with the values of `changes` (by dotted name) put in.
-
-    `drive` is the section that the vehicle's `drive` parameters stand in: wheel_speed or motor_current.
-    """
-    if "file" in settings:
-        settings = {**read_yaml(Path(settings["file"])), **{k: v for k, v in settings.items() if k != "file"}}
-    document = copy.deepcopy(dict(settings))
-    for name, value in changes.items():
-        *path, key = name.split(".")
-        section = document
-        for part in path:
-            section = section[drive if part == "drive" else part]
-        section[key] = value
-    return document

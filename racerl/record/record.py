@@ -18,12 +18,12 @@ from racerl.data.differentiate import velocities
 from racerl.documents import write_bytes, write_yaml
 from racerl.errors import ConfigError
 from racerl.record.drivers import Scene, create_driver
-from racerl.record.hidden import Hidden, vehicle_document
+from racerl.record.hidden import Hidden
 from racerl.record.sensors import Sensors
 from racerl.record.simulate import Recording, simulate
 from racerl.registry import construct
 from racerl.run import RunFolder
-from racerl.vehicle.load import load_vehicle
+from racerl.vehicle.load import load_vehicle, vehicle_document
 from racerl.vehicle.vehicle import STATE, Vehicle
 
 VEHICLE = "vehicle.yaml"

@@ -1,5 +1,6 @@
 """Vehicles from plain settings: what a `conf/vehicle/*.yaml` or a `model.yaml` says becomes a `Vehicle`."""
 
+import copy
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -23,8 +24,7 @@ def load_vehicle(settings: Mapping[str, Any], drive: str = "wheel_speed", actuat
 
     `drive` is wheel_speed or motor_current; without `actuators` commands act at once. Raises VehicleError.
     """
-    if "file" in settings:
-        settings = {**read_yaml(Path(settings["file"])), **{k: v for k, v in settings.items() if k != "file"}}
+    settings = _with_file(settings)
     if drive not in DRIVES:
         raise VehicleError(f"unknown drive mode '{drive}'{suggest(drive, DRIVES)}")
     parts: dict[str, Any] = {}
@@ -66,3 +66,25 @@ def _load_effects(settings: Mapping[str, Any]) -> dict[str, Effect]:
         name: build(registry.lookup(effects_package, name), parameters or {}, f"vehicle.effects.{name}")
         for name, parameters in settings.items()
     }
+
+
+def vehicle_document(settings: Mapping[str, Any], changes: Mapping[str, float], drive: str) -> dict[str, Any]:
+    """Return settings in the form of `conf/vehicle/*.yaml` with the values of `changes` (by dotted name) put in.
+
+    `drive` is the section that the vehicle's `drive` parameters stand in: wheel_speed or motor_current.
+    """
+    document = copy.deepcopy(dict(_with_file(settings)))
+    for name, value in changes.items():
+        *path, key = name.split(".")
+        section = document
+        for part in path:
+            section = section[drive if part == "drive" else part]
+        section[key] = value
+    return document
+
+
+def _with_file(settings: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the content of `settings["file"]`, if there is one, under what the settings say themselves."""
+    if "file" not in settings:
+        return settings
+    return {**read_yaml(Path(settings["file"])), **{k: v for k, v in settings.items() if k != "file"}}

@@ -68,7 +68,8 @@ static inline void linearise(const lane *restrict x, const lane *restrict u, con
 }}
 
 /* K = (df/dx) X + [df/dp, 0] */
-static inline void spread(const lane *restrict a, const lane *restrict b, lane (*restrict X)[D], lane (*restrict K)[D]) {{
+static inline void spread(const lane *restrict a, const lane *restrict b, lane (*restrict X)[D],
+                          lane (*restrict K)[D]) {{
     for (int d = 0; d < D; d++) {{
         #pragma omp simd
         for (int l = 0; l < LANES; l++) {{
@@ -257,7 +258,7 @@ class Rollout:
 
     def simulate(self, parameters: Array, windows: Windows, threads: int = 1) -> Array:
         """Return the states (T + 1, S, W) of all windows."""
-        steps, h = self._steps(windows.dt)
+        steps, h = self.steps(windows.dt)
         intervals, states = len(windows.inputs), len(self.vehicle.states)
         if self._library is None:
             return _simulate_torch(self, torch.as_tensor(parameters), windows, steps, h).numpy()
@@ -275,7 +276,7 @@ class Rollout:
 
     def accumulate(self, parameters: Array, windows: Windows, threads: int = 1) -> NormalEquations:
         """Return the normal equations of every window at these parameters and the windows' initial states."""
-        steps, h = self._steps(windows.dt)
+        steps, h = self.steps(windows.dt)
         intervals, channels, size = len(windows.inputs), len(self.observed), self.size
         if self._library is None:
             return _accumulate_torch(self, parameters, windows, steps, h)
@@ -289,7 +290,8 @@ class Rollout:
         parts = _in_chunks(run, windows, threads)
         return NormalEquations(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
-    def _steps(self, dt: float) -> tuple[int, float]:
+    def steps(self, dt: float) -> tuple[int, float]:
+        """Return how many Runge–Kutta steps one interval takes, and their length in s."""
         steps = max(1, round(np.ceil(dt / self.step - 1e-6)))
         return steps, dt / steps
 
@@ -408,16 +410,15 @@ def _accumulate_torch(rollout: Rollout, parameters: Array, windows: Windows, ste
         car = replace_values(rollout.vehicle, dict(zip(rollout.names, spread.unbind(0), strict=True)))
         return weight * (roll_out(car, initial, inputs, steps, h)[:, observed] - measured)
 
-    columns = []
-    for i in range(rollout.size):
-        d_theta, d_initial = torch.zeros_like(theta), torch.zeros_like(initial)
-        if i < len(theta):
-            d_theta[i] = 1.0
-        else:
-            d_initial[active[i - len(theta)]] = 1.0
-        e, tangent = torch.func.jvp(residual, (theta, initial), (d_theta, d_initial))
-        columns.append(tangent)
-    J = torch.stack(columns)  # (D, T + 1, C, W)
+    unknowns = torch.eye(rollout.size, dtype=theta.dtype)
+    d_theta = unknowns[:, : len(theta)]
+    d_initial = torch.zeros(rollout.size, *initial.shape, dtype=theta.dtype)
+    d_initial[:, active] = unknowns[:, len(theta) :, None]
+
+    def along(d_theta: torch.Tensor, d_initial: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        return torch.func.jvp(residual, (theta, initial), (d_theta, d_initial))
+
+    e, J = torch.func.vmap(along, out_dims=(None, 0))(d_theta, d_initial)  # (T + 1, C, W), (D, T + 1, C, W)
     return NormalEquations(
         torch.einsum("itcw,jtcw->wij", J, J).numpy(),
         torch.einsum("itcw,tcw->wi", J, e).numpy(),

@@ -1,0 +1,1 @@
+"""Identification: a car's parameters from measured driving, by gradients through long rollouts."""

@@ -1,0 +1,47 @@
+"""`model.yaml`: the identified vehicle as a file that every command takes, with where its numbers come from."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from racerl.documents import write_text
+from racerl.vehicle.load import vehicle_document
+
+DIGITS = 6  # significant ones
+
+
+def write_model(
+    path: Path, settings: Mapping[str, Any], changes: Mapping[str, float], facts: Mapping[str, Any]
+) -> None:
+    """Write the vehicle of `settings` with the identified values put in, each with its 95 % interval as a comment."""
+    rounded = {name: float(f"{value:.{DIGITS}g}") for name, value in changes.items()}
+    document = vehicle_document(settings, rounded, "wheel_speed")
+    lines = [f"# {line}" for line in _provenance(facts)]
+    place: list[str] = []
+    for line in yaml.safe_dump(document, sort_keys=False).splitlines():
+        key = line.split(":")[0]
+        depth = (len(key) - len(key.lstrip())) // 2
+        place = [*place[:depth], key.strip()]
+        name = ".".join("drive" if part == "wheel_speed" else part for part in place)
+        lines.append(line + _comment(facts["parameters"].get(name)))
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def _provenance(facts: Mapping[str, Any]) -> list[str]:
+    logs = ", ".join(f"{log['name']} ({log['seconds']:.0f} s, {log['runs']} runs)" for log in facts["logs"])
+    lines = [f"Identified by racerl identify from {logs}."]
+    if "rmse" in facts:
+        last = facts["rmse"][str(facts["horizon"])]
+        errors = ", ".join(f"{name} {value:.3g}" for name, value in last.items())
+        lines.append(f"Error of {facts['horizon']}-sample rollouts in runs that were held out: {errors}.")
+    lines.append("Comments: 95 % interval; p = the prior decides, the data do not determine the value.")
+    return lines
+
+
+def _comment(parameter: Mapping[str, Any] | None) -> str:
+    if parameter is None:
+        return ""
+    low, high = parameter["ci95"]
+    return f"  # {low:.4g} … {high:.4g}{'' if parameter['identified'] else ' p'} {parameter['unit']}".rstrip()

@@ -1,0 +1,82 @@
+"""What a fit may change: the free parameters with their priors and physical bounds."""
+
+import fnmatch
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from racerl.errors import ConfigError, suggest
+from racerl.vehicle.parameter import Parameter, specifications, values
+from racerl.vehicle.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """Free parameters θ in a fixed order; a prior is normal with the mean `start` and the deviation `sigma`."""
+
+    names: tuple[str, ...]
+    start: Array
+    sigma: Array
+    low: Array
+    high: Array
+    specifications: tuple[Parameter, ...]
+
+    def clip(self, theta: Array) -> Array:
+        """Return the nearest values inside the bounds."""
+        return np.clip(theta, self.low, self.high)
+
+    def draw(self, generator: np.random.Generator, spread: float) -> Array:
+        """Return a start drawn around the prior's mean, `spread` deviations wide."""
+        return self.clip(self.start + spread * self.sigma * generator.standard_normal(len(self.names)))
+
+
+def choose_unknowns(vehicle: Vehicle, priors: Mapping[str, Any], hold: Sequence[str] = ()) -> Unknowns:
+    """Return the parameters that `priors` frees and `hold` does not take back.
+
+    `priors` maps name patterns to a deviation: a number is a share of the vehicle's value, {absolute: …} is in the
+    parameter's unit, null holds it. The last pattern that fits a name decides. Raises ConfigError.
+    """
+    table = {name: float(value) for name, value in values(vehicle).items()}
+    for pattern in [*priors, *hold]:
+        if not fnmatch.filter(table, pattern):
+            if pattern in OPTIONAL:
+                continue
+            raise ConfigError(f"no parameter of the vehicle fits '{pattern}'{suggest(pattern, table)}")
+    sigma: dict[str, float] = {}
+    for pattern, width in priors.items():
+        for name in fnmatch.filter(table, pattern):
+            sigma[name] = _deviation(pattern, width, table[name])
+    for pattern in hold:
+        for name in fnmatch.filter(table, pattern):
+            sigma[name] = 0.0
+    names = tuple(name for name in table if sigma.get(name, 0.0) > 0.0)
+    if not names:
+        raise ConfigError("every parameter is held; free some in priors, for instance priors.yaw_inertia=0.2")
+    known = specifications(vehicle)
+    return Unknowns(
+        names,
+        np.array([table[name] for name in names]),
+        np.array([sigma[name] for name in names]),
+        np.array([known[name].low for name in names]),
+        np.array([known[name].high for name in names]),
+        tuple(known[name] for name in names),
+    )
+
+
+OPTIONAL = ("steering.time_constant", "drive.time_constant")
+"""Parameters that a car driven by measured actuators does not have."""
+
+
+def _deviation(pattern: str, width: Any, value: float) -> float:
+    if width is None:
+        return 0.0
+    number = width.get("absolute") if isinstance(width, Mapping) else width
+    if isinstance(number, bool) or not isinstance(number, (int, float)) or not math.isfinite(number) or number < 0:
+        raise ConfigError(f"priors.{pattern} = {width}: allowed is a share ≥ 0, {{absolute: …}} or null")
+    return float(number) if isinstance(width, Mapping) else float(number) * abs(value)

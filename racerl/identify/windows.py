@@ -1,0 +1,149 @@
+"""From logs to windows: stretches of equal length that never cross a run, and what drives the car in them.
+
+An actuator is driven by its command where one was logged, else its measured state is the input. Either is held over
+the sample that follows it.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from racerl.data.log import VELOCITY, Log
+from racerl.errors import LogError
+from racerl.vehicle.rollout import Windows, drive_by
+from racerl.vehicle.vehicle import STATE, Vehicle
+
+Array = NDArray[np.float64]
+INPUTS = ("auto", "commands", "measured")
+ACTUATORS = (("delta", "delta_ref"), ("omega", "omega_ref"))  # state and command
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What a fit sees of a log: the channel that drives each actuator, and the states that are compared."""
+
+    steering: str
+    drive: str
+    observed: tuple[str, ...]
+
+    def driven(self, vehicle: Vehicle) -> Vehicle:
+        """Return the vehicle with measured actuators as inputs where commands are missing."""
+        return drive_by(vehicle, measured_steering=self.steering == "delta", measured_speed=self.drive == "omega")
+
+
+@dataclass(frozen=True)
+class Cut:
+    """Windows with where they come from: the run's number and the first row within it."""
+
+    windows: Windows
+    run: NDArray[np.int64]
+    start: NDArray[np.int64]
+
+    def take(self, index: NDArray[np.int64]) -> "Cut":
+        """Return some of the windows."""
+        return Cut(self.windows.take(index), self.run[index], self.start[index])
+
+
+def choose_layout(logs: Sequence[Log], inputs: str = "auto") -> Layout:
+    """Return what all the logs offer; raise LogError for what can't be done without."""
+    common = set.intersection(*(set(log.channels) for log in logs))
+    names = ", ".join(log.name for log in logs)
+    missing = [channel for channel in VELOCITY if channel not in common]
+    if missing:
+        raise LogError(
+            f"{names}: {', '.join(missing)} missing; velocities come from x, y, yaw or are channels themselves"
+        )
+    chosen = []
+    for state, command in ACTUATORS:
+        wanted = {"auto": (command, state), "commands": (command,), "measured": (state,)}[inputs]
+        channel = next((name for name in wanted if name in common), None)
+        if channel is None:
+            raise LogError(f"{names}: {' and '.join(wanted)} missing; a rollout needs one of {state}, {command}")
+        chosen.append(channel)
+    steering, drive = chosen
+    observed = [*VELOCITY]
+    observed += [
+        state for (state, _), channel in zip(ACTUATORS, chosen, strict=True) if channel != state and state in common
+    ]
+    return Layout(steering, drive, tuple(observed))
+
+
+def cut(logs: Sequence[Log], layout: Layout, vehicle: Vehicle, length: int, stride: int, slowest: float) -> Cut:
+    """Cut runs into windows of `length` intervals, one every `stride` samples.
+
+    Windows in which the car is slower than `slowest` m/s are left out. The weights are one. Raises LogError when no
+    run is long enough or none moves.
+    """
+    dt = logs[0].dt
+    if any(abs(log.dt - dt) > 1e-3 * dt for log in logs):
+        raise LogError(f"{logs[0].name}: logs of different rates ({dt:g} s and others) can't be fitted together")
+    parts = list(_cut_runs(logs, layout, vehicle, length, stride, slowest))
+    longest = max(len(rows) for log in logs for rows in log.runs())
+    if not parts and longest <= length:
+        raise LogError(
+            f"{', '.join(log.name for log in logs)}: the longest run has {longest} samples, a window needs "
+            f"{length + 1}; give a longer log or window={max(longest - 1, 1)}"
+        )
+    if not parts:
+        raise LogError(f"{logs[0].name}: the car never stays above {slowest:g} m/s for a window of {length * dt:g} s")
+    initial, inputs, measured, run, start = zip(*parts, strict=True)
+    stacked = np.concatenate(measured, axis=2)
+    windows = Windows(
+        np.concatenate(initial, axis=1),
+        np.concatenate(inputs, axis=2),
+        stacked,
+        np.ones(stacked.shape[1:]),
+        dt,
+    )
+    return Cut(windows, np.concatenate(run), np.concatenate(start))
+
+
+def _cut_runs(
+    logs: Sequence[Log], layout: Layout, vehicle: Vehicle, length: int, stride: int, slowest: float
+) -> Iterator[tuple[Array, Array, Array, NDArray[np.int64], NDArray[np.int64]]]:
+    number = -1
+    for log in logs:
+        for rows in log.runs():
+            number += 1
+            starts = np.arange(0, len(rows) - length, stride)
+            if not len(starts):
+                continue
+            index = starts + np.arange(length + 1)[:, None]  # (T + 1, W)
+            speed = rows["v_x"].to_numpy()[index]
+            starts = starts[(speed > slowest).all(axis=0)]
+            if not len(starts):
+                continue
+            index = starts + np.arange(length + 1)[:, None]
+            column = {name: rows[name].to_numpy()[index] for name in log.channels}
+            inputs = np.stack([column[name][:-1] for name in (layout.steering, layout.drive)], axis=1)
+            measured = np.stack([column[name] for name in layout.observed], axis=1)
+            yield (
+                _initial(vehicle, column, layout, len(starts)),
+                inputs,
+                measured,
+                np.full(len(starts), number),
+                starts,
+            )
+
+
+def _initial(vehicle: Vehicle, column: dict[str, Array], layout: Layout, count: int) -> Array:
+    """Return the first guess of each window's initial state (S, W): what was measured, commands for actuators."""
+    state = np.zeros((len(vehicle.states), count))
+    for i, name in enumerate(STATE):
+        if name in column:
+            state[i] = column[name][0]
+    for (name, _), channel in zip(ACTUATORS, (layout.steering, layout.drive), strict=True):
+        if name not in column:
+            state[STATE.index(name)] = column[channel][0]
+    return state
+
+
+def channel_scale(logs: Sequence[Log], observed: Sequence[str]) -> Array:
+    """Return the standard deviation of each observed channel over all logs, (C,)."""
+    scale = np.array([np.std(np.concatenate([log.array(name) for log in logs])) for name in observed])
+    if not (scale > 0).all():
+        still = observed[int(np.argmin(scale))]
+        raise LogError(f"{logs[0].name}: {still} never changes; a fit needs a car that is driven")
+    return scale
