@@ -2,7 +2,8 @@
 
 A reference block comes first and, repeated, last. In between all manoeuvres follow in shuffled order, round by round.
 Before each the car drives to a place from where there is room; a manoeuvre is broken off when the car must brake now
-to stay on the floor. A new run begins after every `block` seconds, between two manoeuvres.
+to stay on the floor. A new run begins after every `block` seconds, between two manoeuvres. The car reverses only when
+it is stuck at the edge, because it turns less tightly than the configured one.
 """
 
 import logging
@@ -21,6 +22,7 @@ log = logging.getLogger(__name__)
 Leg = Generator[Command, Measured, Measured]
 CRAWL = 0.5  # m/s
 PACES = (0.25, 0.65)  # shares of the grip used in the turns of a way
+NEAREST = 0.1  # m from the edge, where the car is stopped rather than let on
 ASTRAY = 0.45  # m beside its way at which the car looks for another
 CHOICES = 30  # starts looked at anywhere
 TURNS = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)  # rad, after which a start is looked at
@@ -93,7 +95,7 @@ class _Pilot:
     def command(self, delta_ref: float, omega_ref: float, doing: str) -> Command:
         limits = self.limits
         return Command(
-            clip(delta_ref, limits.steering_max), min(max(omega_ref, 0.0), limits.speed_max), self.run, doing
+            clip(delta_ref, limits.steering_max), min(max(omega_ref, -CRAWL), limits.speed_max), self.run, doing
         )
 
     def rounds(self) -> Iterator[Manoeuvre]:
@@ -135,7 +137,10 @@ class _Pilot:
         way, index = find_way(here, goal, run_up, manoeuvre.speed, slow, limits, tighter=True), 0
         while index < way.end and car.t - since < PATIENCE:
             index = way.nearest(car, index)
-            if way.distance(car, index) > ASTRAY:
+            stuck = not limits.safe(car, NEAREST) and math.hypot(car.v_x, car.v_y) < 1.5 * CRAWL
+            if stuck:
+                car = yield from self.back_up(car)
+            if stuck or way.distance(car, index) > ASTRAY:
                 car = yield from self.stop(car)
                 here = Pose(car.x, car.y, car.yaw)
                 way, index = find_way(here, goal, run_up, manoeuvre.speed, slow, limits, tighter=True), 0
@@ -143,6 +148,20 @@ class _Pilot:
             if not limits.safe(car, 0.5 * limits.margin):
                 delta_ref, omega_ref = self.escape(car, delta_ref), min(omega_ref, CRAWL)
             car = yield self.command(delta_ref, omega_ref, "transit")
+        return car
+
+    def back_up(self, car: Measured) -> Leg:
+        """Reverse on the other lock until there is room to turn: this car turns less tightly than was thought."""
+        lock, since = -self.escape(car, 0.0), car.t
+        while car.t - since < 6.0:
+            behind = car.yaw + math.pi
+            way = self.limits.stopping(CRAWL) + NEAREST
+            room = self.limits.inside(car.x + way * math.cos(behind), car.y + way * math.sin(behind), NEAREST)
+            if not room or self.limits.inside(car.x, car.y, self.limits.keep):
+                break
+            car = yield self.command(lock, -CRAWL, "reverse")
+        while abs(car.v_x) > 0.1:
+            car = yield self.command(0.0, 0.0, "brake")
         return car
 
     def escape(self, car: Measured, delta_ref: float) -> float:
