@@ -11,9 +11,8 @@ import math
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 
-from racerl.errors import ConfigError
 from racerl.record.approach import SPACING, clip, find_way, follow, run_up_length, slow_speed, turned
-from racerl.record.drivers import Command, Drive, Measured, Pose, Scene
+from racerl.record.drivers import Command, Drive, Measured, Pose, Scene, check_ranges
 from racerl.record.floor import Limits
 from racerl.record.manoeuvres import Manoeuvre, catalogue, reference_block
 
@@ -28,7 +27,7 @@ CHOICES = 30  # starts looked at anywhere
 TURNS = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)  # rad, after which a start is looked at
 WORTH = 12.0  # s of transit that a whole manoeuvre is worth
 PIECES = 8  # of a manoeuvre, to see whether it fits
-SPARE = 12.0  # s for a longer way to the last block
+SPARE = 18.0  # s for the manoeuvre under way and a longer way to the last block
 PATIENCE = 30.0  # s for one approach
 
 
@@ -42,27 +41,21 @@ class Programme:
     block: float = 30.0  # s after which a new run begins
 
     def __post_init__(self) -> None:
-        for name, low, high in (("margin", 0.0, 5.0), ("steering_max", 0.1, 1.2), ("speed_max", 1.0, 60.0)):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
-                raise ConfigError(f"drive.{name} = {value}: allowed is {low:g} … {high:g}")
-        if isinstance(self.block, bool) or not isinstance(self.block, (int, float)) or not 5.0 <= self.block <= 600.0:
-            raise ConfigError(f"drive.block = {self.block}: allowed is 5 … 600 s")
+        check_ranges(self, margin=(0.0, 5.0), steering_max=(0.1, 1.2), speed_max=(1.0, 60.0), block=(5.0, 600.0))
 
     def begin(self, scene: Scene) -> tuple[Pose, Callable[[Measured], Drive]]:
         """Start in the middle of the floor, along its longer side."""
         limits = Limits.of(scene, self.margin, self.steering_max, self.speed_max)
-        return Pose(0.0, 0.0, 0.0 if scene.floor[0] >= scene.floor[1] else math.pi / 2), _Pilot(
-            self, scene, limits
-        ).drive
+        pose = Pose(0.0, 0.0, 0.0 if scene.floor[0] >= scene.floor[1] else math.pi / 2)
+        return pose, _Pilot(self.block, scene, limits).drive
 
 
 class _Pilot:
     """The programme under way; its methods are legs: coroutines that return the last measurement."""
 
-    def __init__(self, programme: Programme, scene: Scene, limits: Limits) -> None:
-        self.programme, self.scene, self.limits = programme, scene, limits
-        self.run, self.run_start, self.doing = 0, 0.0, "transit"
+    def __init__(self, block: float, scene: Scene, limits: Limits) -> None:
+        self.block, self.scene, self.limits = block, scene, limits
+        self.run, self.run_start = 0, 0.0
 
     def drive(self, car: Measured) -> Drive:
         """Drive the reference block, shuffled rounds, and the reference block again."""
@@ -80,7 +73,7 @@ class _Pilot:
         for manoeuvre in self.rounds():
             if car.t > self.scene.seconds - needed:
                 break
-            if car.t - self.run_start > self.programme.block:
+            if car.t - self.run_start > self.block:
                 self.next_run(car)
             car = yield from self.perform(manoeuvre, False, car)
         self.next_run(car)
