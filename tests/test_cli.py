@@ -33,6 +33,12 @@ def test_train_evaluate_report(tmp_path):
     assert sorted(path.name for path in (tmp_path / "outputs").iterdir()) == ["evaluate", "report", "train"]
 
 
+def test_record(tmp_path):
+    done = run("record", "drive=race", "seconds=2", "out=drive", cwd=tmp_path)
+    assert done.returncode == 0 and "200 rows in 1 runs in drive/log.parquet" in done.stdout, done.stderr
+    assert {path.name for path in (tmp_path / "drive").iterdir()} >= {"log.parquet", "vehicle.yaml", "manifest.json"}
+
+
 def test_warnings_reach_the_user(tmp_path):
     """Without a compiler on the PATH the simulator falls back to torch, and one line says so."""
     environment = {"PYTHONPATH": str(ROOT), "PATH": "/nowhere", "HOME": str(tmp_path)}

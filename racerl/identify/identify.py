@@ -1,8 +1,8 @@
 """The identify stage: fit a vehicle to logs, say how sure the values are, and score it on runs it has not seen.
 
 Writes `model.yaml` (the vehicle, fitted to all runs), `identification.json` (values, intervals, what is not separable,
-held-out errors), and `overlay.parquet` and `tyres.parquet`, which the report draws. With `fit=false` the vehicle is only
-scored: no `model.yaml`, and the errors are the given vehicle's.
+held-out errors), and `overlay.parquet` and `tyres.parquet`, which the report draws. With `fit=false` the vehicle is
+only scored: no `model.yaml`, and the errors are the given vehicle's.
 """
 
 import io
@@ -10,6 +10,7 @@ import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -92,8 +93,9 @@ def identify(
     use_threads(settings["threads"])
     began = time.perf_counter()
     layout = choose_layout(logs, settings["inputs"])
-    vehicle = layout.driven(load_vehicle(settings["vehicle"]))
-    unknowns = choose_unknowns(vehicle, settings["priors"], settings["hold"]) if settings["fit"] else None
+    configured = load_vehicle(settings["vehicle"])
+    vehicle = layout.driven(configured)
+    unknowns = choose_unknowns(vehicle, settings["priors"], settings["hold"], configured) if settings["fit"] else None
     rollout = Rollout(vehicle, unknowns.names if unknowns else (), layout.observed)
     # all that can be refused is refused before anything is written
     scored = Scored(rollout, layout, logs, settings)
@@ -292,7 +294,8 @@ class Scored:
         runs = np.unique(self.cut.run)
         by_run = np.array([power[..., self.cut.run == run].mean() for run in runs])
         run = runs[np.argsort(by_run, kind="stable")[len(runs) // 2]]
-        index, reached = [], -1
+        index: list[int] = []
+        reached = -1
         for i in np.flatnonzero(self.cut.run == run):
             if self.cut.start[i] >= reached and len(index) < OVERLAY_ROLLOUTS:
                 index.append(i)
@@ -328,11 +331,19 @@ def deal_folds(cut_: Cut, folds: int) -> list[Callable[[Cut], NDArray[np.bool_]]
     One single run is held out in stretches.
     """
     runs, counts = np.unique(cut_.run, return_counts=True)
-    if len(runs) == 1:
-        edges = np.linspace(0, cut_.start.max() + 1, folds + 1)
-        return [lambda c, low=low, high=high: (c.start >= low) & (c.start < high) for low, high in pairwise(edges)]
-    order = runs[np.argsort(-counts, kind="stable")]
-    return [lambda c, held=order[fold::folds]: np.isin(c.run, held) for fold in range(min(folds, len(runs)))]
+    if len(runs) > 1:
+        order = runs[np.argsort(-counts, kind="stable")]
+        return [partial(_in_runs, order[fold::folds]) for fold in range(min(folds, len(runs)))]
+    edges = np.linspace(0, cut_.start.max() + 1, folds + 1)
+    return [partial(_between, low, high) for low, high in pairwise(edges)]
+
+
+def _in_runs(runs: NDArray[np.int64], cut_: Cut) -> NDArray[np.bool_]:
+    return np.isin(cut_.run, runs)
+
+
+def _between(low: float, high: float, cut_: Cut) -> NDArray[np.bool_]:
+    return (cut_.start >= low) & (cut_.start < high)
 
 
 def _snake(name: str) -> str:

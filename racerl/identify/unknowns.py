@@ -36,18 +36,18 @@ class Unknowns:
         return self.clip(self.start + spread * self.sigma * generator.standard_normal(len(self.names)))
 
 
-def choose_unknowns(vehicle: Vehicle, priors: Mapping[str, Any], hold: Sequence[str] = ()) -> Unknowns:
-    """Return the parameters that `priors` frees and `hold` does not take back.
+def choose_unknowns(vehicle: Vehicle, priors: Mapping[str, Any], hold: Sequence[str], configured: Vehicle) -> Unknowns:
+    """Return the parameters of `vehicle` that `priors` frees and `hold` does not take back.
+
+    `configured` is the vehicle before measured actuators became inputs; patterns for what it alone has are passed over.
 
     `priors` maps name patterns to a deviation: a number is a share of the vehicle's value, {absolute: …} is in the
     parameter's unit, null holds it. The last pattern that fits a name decides. Raises ConfigError.
     """
     table = {name: float(value) for name, value in values(vehicle).items()}
     for pattern in [*priors, *hold]:
-        if not fnmatch.filter(table, pattern):
-            if pattern in OPTIONAL:
-                continue
-            raise ConfigError(f"no parameter of the vehicle fits '{pattern}'{suggest(pattern, table)}")
+        if not fnmatch.filter(values(configured), pattern):
+            raise ConfigError(f"no parameter of the vehicle fits '{pattern}'{suggest(pattern, values(configured))}")
     sigma: dict[str, float] = {}
     for pattern, width in priors.items():
         for name in fnmatch.filter(table, pattern):
@@ -67,10 +67,6 @@ def choose_unknowns(vehicle: Vehicle, priors: Mapping[str, Any], hold: Sequence[
         np.array([known[name].high for name in names]),
         tuple(known[name] for name in names),
     )
-
-
-OPTIONAL = ("steering.time_constant", "drive.time_constant")
-"""Parameters that a car driven by measured actuators does not have."""
 
 
 def _deviation(pattern: str, width: Any, value: float) -> float:

@@ -18,7 +18,7 @@ from racerl.record.drivers import Measured
 from racerl.track.track import Track
 
 SPACING = 0.15  # m between the points that are moved
-PASSES = 6
+PASSES = 4
 FINE = 0.03  # m between the points of the line
 SEARCH = 40  # points ahead among which the nearest is looked for
 SLOWEST = 1.0  # m/s

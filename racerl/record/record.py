@@ -7,6 +7,7 @@ driven in the form of `conf/vehicle/*.yaml`, to compare with.
 import gzip
 import io
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from racerl.assemble import build_track
 from racerl.data.differentiate import velocities
 from racerl.documents import write_bytes, write_yaml
 from racerl.errors import ConfigError
-from racerl.record.drivers import Scene, create_driver
+from racerl.record.drivers import Drive, Measured, Pose, Scene, create_driver
 from racerl.record.hidden import Hidden
 from racerl.record.sensors import Sensors
 from racerl.record.simulate import Recording, simulate
@@ -31,54 +32,85 @@ FORMATS = (".parquet", ".csv", ".csv.gz")
 MOVING = 1.0  # m/s above which slips are told
 
 
+@dataclass(frozen=True)
+class Plan:
+    """A drive that is ready to begin."""
+
+    document: dict[str, Any]  # the driven car, in the form of conf/vehicle/*.yaml
+    vehicle: Vehicle  # the driven car
+    pose: Pose
+    driving: Callable[[Measured], Drive]
+    scene: Scene
+    sensors: Sensors
+    noise: np.random.Generator
+    step: float  # s
+
+    @classmethod
+    def of(cls, settings: Mapping[str, Any]) -> "Plan":
+        """Build everything that the settings describe; raise a RacerlError for what cannot be driven."""
+        _check(settings)
+        sim, car = settings["sim"], settings["car"]
+        actuators = bool(sim["actuators"]) and bool(car["actuators"])
+        if sim["drive"] == "motor_current" and not actuators:
+            raise ConfigError(
+                "sim.drive = motor_current: a car without actuators has no motor; give sim.actuators=true"
+            )
+        configured = load_vehicle(settings["vehicle"], sim["drive"], actuators)
+        hidden = construct(Hidden, settings["hidden"], "hidden")
+        document = vehicle_document(settings["vehicle"], hidden.draw(configured), sim["drive"])
+        noise, choices = (np.random.default_rng(child) for child in np.random.SeedSequence(settings["seed"]).spawn(2))
+        scene = Scene(
+            vehicle=configured,
+            track=build_track(settings),
+            floor=(float(settings["floor"][0]), float(settings["floor"][1])),
+            dt=1.0 / settings["rate"],
+            seconds=float(settings["seconds"]),
+            generator=choices,
+        )
+        pose, driving = create_driver(settings["drive"]).begin(scene)
+        return cls(
+            document=document,
+            vehicle=load_vehicle(document, sim["drive"], actuators),
+            pose=pose,
+            driving=driving,
+            scene=scene,
+            sensors=construct(Sensors, car.get("sensors") or {}, "car.sensors"),
+            noise=noise,
+            step=settings["step"],
+        )
+
+    def drive(self, on_progress: Callable[[float], None] = lambda share: None) -> Recording:
+        """Drive; a plan is good for one drive, since its generators move on."""
+        return simulate(
+            self.vehicle,
+            self.pose,
+            self.driving,
+            self.scene,
+            self.sensors,
+            step=self.step,
+            generator=self.noise,
+            on_progress=on_progress,
+        )
+
+
 def record(
     settings: Mapping[str, Any], out: Path, on_progress: Callable[[float], None] = lambda share: None
 ) -> dict[str, Any]:
     """Write the log that the settings describe into `out`; return what it holds, in numbers."""
-    _check(settings)
-    sim, car, smoothing = settings["sim"], settings["car"], settings["smoothing"]
-    sensors = construct(Sensors, car.get("sensors") or {}, "car.sensors")
-    hidden = construct(Hidden, settings["hidden"], "hidden")
-    actuators = bool(sim["actuators"]) and bool(car["actuators"])
-    configured = load_vehicle(settings["vehicle"], sim["drive"], actuators)
-    document = vehicle_document(settings["vehicle"], hidden.draw(configured), sim["drive"])
-    driven = load_vehicle(document, sim["drive"], actuators)
-    noise, choices = (np.random.default_rng(child) for child in np.random.SeedSequence(settings["seed"]).spawn(2))
-    floor_x, floor_y = (float(side) for side in settings["floor"])
-    scene = Scene(
-        vehicle=configured,
-        track=build_track(settings),
-        floor=(floor_x, floor_y),
-        dt=1.0 / settings["rate"],
-        seconds=float(settings["seconds"]),
-        generator=choices,
-    )
-    current_limit = float(driven.drive.current_limit) if sim["drive"] == "motor_current" else None  # type: ignore[attr-defined]
-
-    pose, driving = create_driver(settings["drive"]).begin(scene)
+    plan = Plan.of(settings)
     folder = RunFolder.start(out, "record", settings, seed=settings["seed"])
-    recording = simulate(
-        driven,
-        pose,
-        driving,
-        scene,
-        sensors,
-        step=settings["step"],
-        generator=noise,
-        current_limit=current_limit,
-        on_progress=on_progress,
-    )
-    log = table(recording, smoothing["window"], smoothing["order"], current_limit is not None)
-    write_yaml(folder.path / VEHICLE, document)
+    recording = plan.drive(on_progress)
+    log = table(recording, **settings["smoothing"])
+    write_yaml(folder.path / VEHICLE, plan.document)
     write_bytes(folder.path / settings["file"], encode(log, settings["file"]))
-    facts = {"rows": len(log), "runs": int(log["run"].nunique()), **excitation(driven, recording)}
+    facts = {"rows": len(log), "runs": int(log["run"].nunique()), **excitation(plan.vehicle, recording)}
     folder.finish(log=settings["file"], **facts)
     return facts
 
 
-def table(recording: Recording, window: int, order: int, motor_current: bool) -> pd.DataFrame:
+def table(recording: Recording, window: int, order: int) -> pd.DataFrame:
     """Return the log: velocities differentiated from the noisy poses, run by run."""
-    x, y, yaw, delta, omega = recording.measured.T
+    x, y, yaw, delta, omega, current = recording.measured.T
     velocity = np.zeros((3, len(x)))
     for run in np.unique(recording.run):
         rows = recording.run == run
@@ -86,7 +118,8 @@ def table(recording: Recording, window: int, order: int, motor_current: bool) ->
             velocity[:, rows] = velocities(x[rows], y[rows], yaw[rows], recording.dt, window, order)
         else:
             velocity[:, rows] = np.nan
-    delta_ref, drive_ref = recording.command.T
+    delta_ref, omega_ref = recording.command.T
+    drive = {"current": current} if recording.motor_current else {"omega_ref": omega_ref}
     columns = {
         "t": np.round(np.arange(len(x)) * recording.dt, 9),
         "run": recording.run,
@@ -97,7 +130,7 @@ def table(recording: Recording, window: int, order: int, motor_current: bool) ->
         "delta": delta,
         "omega": omega,
         "delta_ref": delta_ref,
-        "current" if motor_current else "omega_ref": drive_ref,
+        **drive,
         "manoeuvre": pd.Categorical(recording.doing),
     }
     return pd.DataFrame(columns)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from racerl.errors import RunError
 from racerl.record.drivers import Drive, Measured, Pose, Scene
 from racerl.record.sensors import Sensors
+from racerl.vehicle.actuator import MotorCurrent
 from racerl.vehicle.integrate import advance
 from racerl.vehicle.ops import CasadiOps
 from racerl.vehicle.vehicle import STATE, Vehicle
@@ -80,8 +81,9 @@ class Recording:
     run: NDArray[np.int64]  # (K,)
     doing: list[str]
     truth: Array  # (K, 8), columns as STATE
-    measured: Array  # (K, 5): x, y, yaw, delta, omega
-    command: Array  # (K, 2): delta_ref in rad, drive_ref in m/s or A
+    measured: Array  # (K, 6): x, y, yaw, delta, omega, current
+    command: Array  # (K, 2): delta_ref in rad, omega_ref in m/s
+    motor_current: bool  # the car took currents, not wheel speeds
 
 
 def simulate(
@@ -93,17 +95,17 @@ def simulate(
     *,
     step: float,
     generator: np.random.Generator,
-    current_limit: float | None = None,
     on_progress: Callable[[float], None] = lambda share: None,
 ) -> Recording:
     """Drive `vehicle` from `pose` by `driving` for `scene.seconds`, integrated with steps of at most `step` s.
 
-    With a `current_limit` (A) the car takes currents: a speed controller follows the driver's wheel speed.
+    Where the car takes currents, a speed controller follows the driver's wheel speed.
     """
     dt, rows = scene.dt, round(scene.seconds / scene.dt)
+    current_limit = float(vehicle.drive.current_limit) if isinstance(vehicle.drive, MotorCurrent) else None
     plant, tracker = Plant(vehicle, pose, dt, step), Tracker(pose, dt)
     truth, command = np.zeros((rows, len(STATE))), np.zeros((rows, 2))
-    measured = sensors.noise(rows, generator)[:, :5]
+    measured = sensors.noise(rows, generator)
     run, doing = np.zeros(rows, dtype=np.int64), []
     drive: Drive | None = None
     for k in range(rows):
@@ -111,8 +113,8 @@ def simulate(
         if not np.isfinite(plant.state).all():
             last = ", ".join(f"{name} = {value:.4g}" for name, value in zip(STATE, truth[k - 1], strict=True))
             raise RunError(f"the simulation failed at t = {k * dt:.2f} s after {last}; give a smaller step=")
-        measured[k] += truth[k, [0, 1, 2, 6, 7]]
-        x, y, yaw, delta, omega = measured[k].tolist()
+        measured[k, :5] += truth[k, [0, 1, 2, 6, 7]]
+        x, y, yaw, delta, omega, _ = measured[k].tolist()
         seen = Measured(k * dt, x, y, yaw, *tracker.update((x, y, yaw)), delta, omega)
         if drive is None:
             drive = driving(seen)
@@ -122,10 +124,11 @@ def simulate(
         drive_ref = order.omega_ref
         if current_limit is not None:
             drive_ref = min(max(SPEED_GAIN * (order.omega_ref - omega), -current_limit), current_limit)
-        command[k] = order.delta_ref, drive_ref
+            measured[k, 5] += drive_ref
+        command[k] = order.delta_ref, order.omega_ref
         run[k] = order.run
         doing.append(order.doing)
         plant.advance(order.delta_ref, drive_ref)
         if k % 2000 == 0:
             on_progress(k / rows)
-    return Recording(dt, run, doing, truth, measured, command)
+    return Recording(dt, run, doing, truth, measured, command, current_limit is not None)

@@ -206,13 +206,10 @@ class Windows:
 
     def take(self, index: Any) -> "Windows":
         """Return some of the windows."""
-        return Windows(
-            *(
-                np.ascontiguousarray(part[..., index])
-                for part in (self.initial, self.inputs, self.measured, self.weight)
-            ),
-            self.dt,
+        initial, inputs, measured, weight = (
+            np.ascontiguousarray(part[..., index]) for part in (self.initial, self.inputs, self.measured, self.weight)
         )
+        return Windows(initial, inputs, measured, weight, self.dt)
 
 
 @dataclass(frozen=True)
@@ -415,10 +412,12 @@ def _accumulate_torch(rollout: Rollout, parameters: Array, windows: Windows, ste
     d_initial = torch.zeros(rollout.size, *initial.shape, dtype=theta.dtype)
     d_initial[:, active] = unknowns[:, len(theta) :, None]
 
-    def along(d_theta: torch.Tensor, d_initial: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        return torch.func.jvp(residual, (theta, initial), (d_theta, d_initial))
+    def along(d_theta: torch.Tensor, d_initial: torch.Tensor) -> torch.Tensor:
+        tangent: torch.Tensor = torch.func.jvp(residual, (theta, initial), (d_theta, d_initial))[1]
+        return tangent
 
-    e, J = torch.func.vmap(along, out_dims=(None, 0))(d_theta, d_initial)  # (T + 1, C, W), (D, T + 1, C, W)
+    e = residual(theta, initial)  # (T + 1, C, W)
+    J = torch.func.vmap(along)(d_theta, d_initial)  # (D, T + 1, C, W)
     return NormalEquations(
         torch.einsum("itcw,jtcw->wij", J, J).numpy(),
         torch.einsum("itcw,tcw->wi", J, e).numpy(),

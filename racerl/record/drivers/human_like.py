@@ -9,8 +9,8 @@ from collections import deque
 from dataclasses import dataclass
 
 from racerl.record.ability import Cornering
-from racerl.record.drivers import Command, Drive, Measured, Scene
-from racerl.record.drivers.race import Race, check
+from racerl.record.drivers import Command, Drive, Measured, Scene, check_ranges
+from racerl.record.drivers.race import Race
 from racerl.record.line import Line
 
 
@@ -30,8 +30,10 @@ class HumanLike(Race):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check(self, reaction=(0.0, 1.0), steering_noise=(0.0, 0.5), speed_noise=(0.0, 3.0), noise_time=(0.01, 10.0))
-        check(self, smoothing=(0.0, 1.0))
+        check_ranges(
+            self, reaction=(0.0, 1.0), steering_noise=(0.0, 0.5), speed_noise=(0.0, 3.0), noise_time=(0.01, 10.0)
+        )
+        check_ranges(self, smoothing=(0.0, 1.0))
 
     def laps(self, scene: Scene, line: Line, cornering: Cornering, car: Measured) -> Drive:
         """Lap without end."""

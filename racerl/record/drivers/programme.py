@@ -2,7 +2,8 @@
 
 A reference block comes first and, repeated, last. In between all manoeuvres follow in shuffled order, round by round.
 Before each the car drives to a place from where there is room; a manoeuvre is broken off when the car must brake now
-to stay on the floor. A new run begins after every `block` seconds, between two manoeuvres.
+to stay on the floor. A new run begins after every `block` seconds, between two manoeuvres. The car reverses only when
+it is stuck at the edge, because it turns less tightly than the configured one.
 """
 
 import logging
@@ -10,9 +11,8 @@ import math
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 
-from racerl.errors import ConfigError
 from racerl.record.approach import SPACING, clip, find_way, follow, run_up_length, slow_speed, turned
-from racerl.record.drivers import Command, Drive, Measured, Pose, Scene
+from racerl.record.drivers import Command, Drive, Measured, Pose, Scene, check_ranges
 from racerl.record.floor import Limits
 from racerl.record.manoeuvres import Manoeuvre, catalogue, reference_block
 
@@ -21,12 +21,13 @@ log = logging.getLogger(__name__)
 Leg = Generator[Command, Measured, Measured]
 CRAWL = 0.5  # m/s
 PACES = (0.25, 0.65)  # shares of the grip used in the turns of a way
+NEAREST = 0.1  # m from the edge, where the car is stopped rather than let on
 ASTRAY = 0.45  # m beside its way at which the car looks for another
 CHOICES = 30  # starts looked at anywhere
 TURNS = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)  # rad, after which a start is looked at
 WORTH = 12.0  # s of transit that a whole manoeuvre is worth
 PIECES = 8  # of a manoeuvre, to see whether it fits
-SPARE = 12.0  # s for a longer way to the last block
+SPARE = 18.0  # s for the manoeuvre under way and a longer way to the last block
 PATIENCE = 30.0  # s for one approach
 
 
@@ -40,27 +41,21 @@ class Programme:
     block: float = 30.0  # s after which a new run begins
 
     def __post_init__(self) -> None:
-        for name, low, high in (("margin", 0.0, 5.0), ("steering_max", 0.1, 1.2), ("speed_max", 1.0, 60.0)):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
-                raise ConfigError(f"drive.{name} = {value}: allowed is {low:g} … {high:g}")
-        if isinstance(self.block, bool) or not isinstance(self.block, (int, float)) or not 5.0 <= self.block <= 600.0:
-            raise ConfigError(f"drive.block = {self.block}: allowed is 5 … 600 s")
+        check_ranges(self, margin=(0.0, 5.0), steering_max=(0.1, 1.2), speed_max=(1.0, 60.0), block=(5.0, 600.0))
 
     def begin(self, scene: Scene) -> tuple[Pose, Callable[[Measured], Drive]]:
         """Start in the middle of the floor, along its longer side."""
         limits = Limits.of(scene, self.margin, self.steering_max, self.speed_max)
-        return Pose(0.0, 0.0, 0.0 if scene.floor[0] >= scene.floor[1] else math.pi / 2), _Pilot(
-            self, scene, limits
-        ).drive
+        pose = Pose(0.0, 0.0, 0.0 if scene.floor[0] >= scene.floor[1] else math.pi / 2)
+        return pose, _Pilot(self.block, scene, limits).drive
 
 
 class _Pilot:
     """The programme under way; its methods are legs: coroutines that return the last measurement."""
 
-    def __init__(self, programme: Programme, scene: Scene, limits: Limits) -> None:
-        self.programme, self.scene, self.limits = programme, scene, limits
-        self.run, self.run_start, self.doing = 0, 0.0, "transit"
+    def __init__(self, block: float, scene: Scene, limits: Limits) -> None:
+        self.block, self.scene, self.limits = block, scene, limits
+        self.run, self.run_start = 0, 0.0
 
     def drive(self, car: Measured) -> Drive:
         """Drive the reference block, shuffled rounds, and the reference block again."""
@@ -78,7 +73,7 @@ class _Pilot:
         for manoeuvre in self.rounds():
             if car.t > self.scene.seconds - needed:
                 break
-            if car.t - self.run_start > self.programme.block:
+            if car.t - self.run_start > self.block:
                 self.next_run(car)
             car = yield from self.perform(manoeuvre, False, car)
         self.next_run(car)
@@ -93,7 +88,7 @@ class _Pilot:
     def command(self, delta_ref: float, omega_ref: float, doing: str) -> Command:
         limits = self.limits
         return Command(
-            clip(delta_ref, limits.steering_max), min(max(omega_ref, 0.0), limits.speed_max), self.run, doing
+            clip(delta_ref, limits.steering_max), min(max(omega_ref, -CRAWL), limits.speed_max), self.run, doing
         )
 
     def rounds(self) -> Iterator[Manoeuvre]:
@@ -135,7 +130,10 @@ class _Pilot:
         way, index = find_way(here, goal, run_up, manoeuvre.speed, slow, limits, tighter=True), 0
         while index < way.end and car.t - since < PATIENCE:
             index = way.nearest(car, index)
-            if way.distance(car, index) > ASTRAY:
+            stuck = not limits.safe(car, NEAREST) and math.hypot(car.v_x, car.v_y) < 1.5 * CRAWL
+            if stuck:
+                car = yield from self.back_up(car)
+            if stuck or way.distance(car, index) > ASTRAY:
                 car = yield from self.stop(car)
                 here = Pose(car.x, car.y, car.yaw)
                 way, index = find_way(here, goal, run_up, manoeuvre.speed, slow, limits, tighter=True), 0
@@ -143,6 +141,20 @@ class _Pilot:
             if not limits.safe(car, 0.5 * limits.margin):
                 delta_ref, omega_ref = self.escape(car, delta_ref), min(omega_ref, CRAWL)
             car = yield self.command(delta_ref, omega_ref, "transit")
+        return car
+
+    def back_up(self, car: Measured) -> Leg:
+        """Reverse on the other lock until there is room to turn: this car turns less tightly than was thought."""
+        lock, since = -self.escape(car, 0.0), car.t
+        while car.t - since < 6.0:
+            behind = car.yaw + math.pi
+            way = self.limits.stopping(CRAWL) + NEAREST
+            room = self.limits.inside(car.x + way * math.cos(behind), car.y + way * math.sin(behind), NEAREST)
+            if not room or self.limits.inside(car.x, car.y, self.limits.keep):
+                break
+            car = yield self.command(lock, -CRAWL, "reverse")
+        while abs(car.v_x) > 0.1:
+            car = yield self.command(0.0, 0.0, "brake")
         return car
 
     def escape(self, car: Measured, delta_ref: float) -> float:

@@ -8,9 +8,8 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from racerl.errors import ConfigError
 from racerl.record.ability import Cornering, braking
-from racerl.record.drivers import Command, Drive, Measured, Pose, Scene
+from racerl.record.drivers import Command, Drive, Measured, Pose, Scene, check_ranges
 from racerl.record.line import Line, find_line
 
 LOST = 0.5  # m beside the line, or
@@ -31,8 +30,8 @@ class Race:
     block: float = 30.0  # s after which a new run begins
 
     def __post_init__(self) -> None:
-        check(self, share=(0.05, 1.2), margin=(0.0, 10.0), preview=(0.05, 10.0), preview_time=(0.0, 2.0))
-        check(self, steering_max=(0.05, 1.2), speed_max=(0.7, 60.0), block=(5.0, 600.0))
+        check_ranges(self, share=(0.05, 1.2), margin=(0.0, 10.0), preview=(0.05, 10.0), preview_time=(0.0, 2.0))
+        check_ranges(self, steering_max=(0.05, 1.2), speed_max=(0.7, 60.0), block=(5.0, 600.0))
 
     def begin(self, scene: Scene) -> tuple[Pose, Callable[[Measured], Drive]]:
         """Start on the line's first point."""
@@ -78,11 +77,3 @@ class Race:
         if beside > LOST or abs(math.remainder(car.yaw - line.yaw[index], 2.0 * math.pi)) > TURNED:
             omega = min(omega, SLOW)
         return min(max(delta, -self.steering_max), self.steering_max), omega
-
-
-def check(driver: object, **ranges: tuple[float, float]) -> None:
-    """Raise ConfigError when one of a driver's settings is no number in its range."""
-    for name, (low, high) in ranges.items():
-        value = getattr(driver, name)
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
-            raise ConfigError(f"drive.{name} = {value}: allowed is {low:g} … {high:g}")
