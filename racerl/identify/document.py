@@ -36,7 +36,7 @@ def _provenance(facts: Mapping[str, Any]) -> list[str]:
         last = facts["rmse"][str(facts["horizon"])]
         errors = ", ".join(f"{name} {value:.3g}" for name, value in last.items())
         lines.append(f"Error of {facts['horizon']}-sample rollouts in runs that were held out: {errors}.")
-    lines.append("Comments: 95 % interval; p = the prior decides, the data do not determine the value.")
+    lines.append("Comments: 95 % interval; ~ = the data alone, without the prior, leave it wider than ± 5 %.")
     return lines
 
 
@@ -44,4 +44,4 @@ def _comment(parameter: Mapping[str, Any] | None) -> str:
     if parameter is None:
         return ""
     low, high = parameter["ci95"]
-    return f"  # {low:.4g} … {high:.4g}{'' if parameter['identified'] else ' p'} {parameter['unit']}".rstrip()
+    return f"  # {low:.4g} … {high:.4g}{'' if parameter['identified'] else ' ~'} {parameter['unit']}".rstrip()

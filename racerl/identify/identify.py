@@ -236,9 +236,11 @@ def _hold_out(
         unseen = np.flatnonzero(held(scored.cut))
         if not len(seen) or not len(unseen):
             continue
-        fitted = _solve(
-            task, seen, {**settings, "starts": 1}, lambda share, n=number: on_share((n + share) / len(folds))
-        )
+
+        def on_fold(share: float, number: int = number) -> None:
+            on_share((number + share) / len(folds))
+
+        fitted = _solve(task, seen, {**settings, "starts": 1}, on_fold)
         total.add(scored.rollout_errors(fitted.fit.point.theta, unseen))
     if not total.count:
         return {"rmse": None, "held_out": "nothing"}
@@ -298,7 +300,7 @@ class Scored:
         reached = -1
         for i in np.flatnonzero(self.cut.run == run):
             if self.cut.start[i] >= reached and len(index) < OVERLAY_ROLLOUTS:
-                index.append(i)
+                index.append(int(i))
                 reached = self.cut.start[i] + len(errors) - 1
         part = self.cut.take(np.array(index))
         rows = [self.rollout.vehicle.states.index(name) for name in self.rollout.observed]

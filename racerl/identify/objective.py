@@ -3,8 +3,8 @@
     F(θ, x_0) = Σ_c w_c² mean(((x_c − y_c)/scale_c)²) / Σ_c w_c²  +  λ Σ ((θ − θ_0)/σ)²
 
 The mean runs over windows and samples; every window has a free initial state x_0. λ = F_data/N makes the prior as
-strong as it should be beside N independent residuals (a maximum a posteriori estimate); N counts the residuals less their
-autocorrelation.
+strong as it should be beside N independent residuals (a maximum a posteriori estimate); N counts the residuals less
+their autocorrelation.
 """
 
 from dataclasses import dataclass, replace
