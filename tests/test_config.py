@@ -26,12 +26,14 @@ def test_no_file_is_left_out():
         "train.yaml",
         "evaluate.yaml",
         "report.yaml",
+        "data.yaml",
         "track/file.yaml",
         "vehicle/file.yaml",
         "car/model.yaml",
         "hydra/racerl.yaml",
     }
-    assert found == listed | rest
+    mappings = {path.relative_to(CONF).as_posix() for path in (CONF / "data").glob("*.yaml")}  # tests/data reads each
+    assert found == listed | rest | mappings
 
 
 @pytest.mark.parametrize("choice", CHOICES)
@@ -46,9 +48,11 @@ def test_every_choice_composes_and_drives(choice):
     assert torch.isfinite(step.observation).all() and race.faults == 0
 
 
-@pytest.mark.parametrize("command", ["train", "evaluate", "report"])
-def test_every_command_composes(command):
-    settings = compose_settings(command, ["run=x"] if command == "evaluate" else [])
+@pytest.mark.parametrize(
+    "command, words", [("train", []), ("evaluate", ["run=x"]), ("report", []), ("data", ["logs=[x]"])]
+)
+def test_every_command_composes(command, words):
+    settings = compose_settings(command, words)
     assert settings["out"].startswith(f"outputs/{command}/")
 
 
