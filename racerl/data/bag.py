@@ -3,9 +3,9 @@
 A bag is a folder, a `.db3` (sqlite3), a `.mcap`, or a `.zip` with one of these. Message definitions that a bag
 carries are never used, since decoders are generated from them: types are looked up among ROS 2's own and `DEFINITIONS`.
 
-A damaged bag must not hang or fill the memory. So sizes and counts are limited, a database is checked before it is read,
-and the chunks of an MCAP file are unpacked once under a limit before the reader sees them. A third of the bags with
-a flipped byte decode all the same: stamps, orientations and numbers are checked after decoding.
+A damaged bag must not hang or fill the memory. So sizes and counts are limited, a database is checked before it is
+read, and the chunks of an MCAP file are unpacked once under a limit before the reader sees them. A third of the bags
+with a flipped byte decode all the same: stamps, orientations and numbers are checked after decoding.
 """
 
 import contextlib

@@ -37,6 +37,8 @@ LIMITS = {
     "delta to curvature": (0.15, 0.02, 0.9),
     "delta_ref to curvature": (0.22, 0.02, 0.9),
 }
+MAX_POSE_LAG = 0.025  # s between velocities and differentiated poses
+MAX_OFFSET = 0.04  # m between the point of the velocities and the tracked one
 GENTLE = 2.5  # m/s² of lateral acceleration (90 %), below which a log may show the curvature but no yaw dynamics
 CLEAR = 0.6  # share of the yaw acceleration explained that shows the dynamics all the same
 HELD_SHARE = 0.6  # of the samples of a measured channel that repeat the one before
@@ -75,7 +77,7 @@ def inspect(log: Log, wheelbase: float = 0.33) -> dict[str, Any]:
             *_held(log),
             *_clipped(log),
             *_signs_and_units(log, wheelbase),
-            *_against_poses(log),
+            *_against_poses(log, lags.get("yaw to yaw_rate")),
             *_lag_warnings(log, lags),
             *_doubled(log),
         ],
@@ -208,6 +210,7 @@ def _lags(log: Log, wheelbase: float) -> dict[str, Lag]:
         lags["omega"] = wheel_lag(log)
     if _has(log, *VELOCITY, "current") and "current" not in held:
         lags["current"] = current_lag(log)
+    lags["yaw to yaw_rate"] = pose_lag(log)
     if _has(log, "delta", "delta_ref"):
         lags["delta_ref to delta"] = correlation_lag(log, "delta_ref", "delta")
     return {name: lag for name, lag in lags.items() if lag is not None}
@@ -336,7 +339,11 @@ def _best(scores: list[float], reach: int, dt: float) -> Lag:
 def correlation_lag(log: Log, first: str, second: str) -> Lag | None:
     """Return how much later the second channel moves than the first, by their greatest correlation."""
     reach = round(MAX_LAG / log.dt)
-    pairs = [(run[first].to_numpy(), run[second].to_numpy()) for run in log.runs() if len(run) >= 4 * reach]
+    runs = [run for run in log.runs() if len(run) >= 4 * reach]
+    return _correlation([(run[first].to_numpy(), run[second].to_numpy()) for run in runs], reach, log.dt)
+
+
+def _correlation(pairs: list[tuple[Array, Array]], reach: int, dt: float) -> Lag | None:
     if sum(len(a) for a, _ in pairs) < ENOUGH:
         return None
     target = np.concatenate([b[reach : len(b) - reach] for _, b in pairs])
@@ -346,7 +353,7 @@ def correlation_lag(log: Log, first: str, second: str) -> Lag | None:
         if moved.std() < 1e-6 or target.std() < 1e-6:
             return None
         scores.append(float(np.corrcoef(moved, target)[0, 1]))
-    return _best(scores, reach, log.dt)
+    return _best(scores, reach, dt)
 
 
 def _lag_warnings(log: Log, lags: dict[str, Lag]) -> Iterator[str]:
@@ -365,6 +372,12 @@ def _lag_warnings(log: Log, lags: dict[str, Lag]) -> Iterator[str]:
                 f"{name} is {-lag.seconds:.3f} s behind {answer}, which no car does: stamps of another clock; "
                 f"data.shift.{name}={lag.seconds:g} lines them up"
             )
+    lag = lags.get("yaw to yaw_rate")
+    if lag is not None and lag.best > 0.8 and abs(lag.seconds) >= MAX_POSE_LAG and lag.best - lag.unshifted > 1e-3:
+        yield (
+            f"yaw_rate is {lag.seconds:+.3f} s behind the differentiated yaw: filtered, or stamps of another clock; "
+            "leave the velocities out of the mapping and they are made from the poses"
+        )
     lag = lags.get("delta_ref to delta")
     if lag is not None and lag.best > 0.5 and lag.best - lag.unshifted > 1e-3 and not -0.015 <= lag.seconds <= 0.15:
         yield f"delta follows delta_ref by {lag.seconds:+.3f} s; expected is 0 … 0.15 s; check the stamps of both"
@@ -471,29 +484,57 @@ def _factor(ratio: float) -> str:
     return "rad/s of a small wheel?" if 8.0 < ratio < 50.0 else "rpm?" if ratio >= 50.0 else "another unit or scale?"
 
 
-def _against_poses(log: Log) -> Iterator[str]:
-    """Velocities that were not made from the poses here must agree with them."""
+def _from_poses(log: Log) -> list[tuple[Array, Array]]:
+    """Return per run (given, differentiated) velocities, each (3, rows); none where there is nothing to compare."""
     if not _has(log, *POSE, *VELOCITY) or any("differentiated" in remark for remark in log.remarks):
-        return
-    window = max(5, int(0.15 / log.dt) | 1)
-    runs = [run for run in log.runs() if len(run) > 2 * window]
+        return []
+    window = _smooth(log)
+    runs = [run for run in log.runs() if len(run) > 4 * round(MAX_LAG / log.dt)]
     if sum(len(run) for run in runs) < ENOUGH:
+        return []
+    channels = [{name: run[name].to_numpy() for name in (*POSE, *VELOCITY)} for run in runs]
+    return [
+        (
+            np.stack([smoothed(c[name], window) for name in VELOCITY]),
+            np.stack(velocities(c["x"], c["y"], c["yaw"], log.dt, window, 2)),
+        )
+        for c in channels
+    ]
+
+
+def pose_lag(log: Log) -> Lag | None:
+    """Return how much later the given yaw rate moves than the differentiated yaw; None when there is no yaw."""
+    pairs = [(derived[2], given[2]) for given, derived in _from_poses(log)]
+    return _correlation(pairs, round(MAX_LAG / log.dt), log.dt) if pairs else None
+
+
+def _against_poses(log: Log, lag: Lag | None) -> Iterator[str]:
+    """Velocities that were not made from the poses here must agree with them, apart from the lag."""
+    pairs = _from_poses(log)
+    if not pairs:
         return
-    poses = [tuple(run[c].to_numpy() for c in POSE) for run in runs]
-    made = [velocities(x, y, yaw, log.dt, window, 2) for x, y, yaw in poses]
-    for i, name in enumerate(VELOCITY):
-        given = np.concatenate([run[name].to_numpy() for run in runs])
-        derived = np.concatenate([velocity[i] for velocity in made])
-        if derived.std() < 0.05 or given.std() < 1e-9:
+    shift = 0 if lag is None else round(lag.seconds / log.dt)
+    early, late = max(0, shift), max(0, -shift)
+    derived = np.hstack([made[:, late : made.shape[1] - early] for _, made in pairs])
+    given = np.hstack([told[:, early : told.shape[1] - late] for told, _ in pairs])
+    for name, is_, should in zip(VELOCITY, given, derived, strict=True):
+        if should.std() < 0.05 or is_.std() < 1e-9:
             continue
-        correlation = float(np.corrcoef(given, derived)[0, 1])
-        factor = float(np.std(given) / np.std(derived))
+        correlation, factor = float(np.corrcoef(is_, should)[0, 1]), float(is_.std() / should.std())
         if correlation < -0.5:
             yield f"{name} has the opposite sign of the differentiated pose (correlation {correlation:.2f})"
         elif correlation > 0.7 and not 0.6 < factor < 1.6:
             yield f"{name} is {factor:.3g} times the differentiated pose: {_factor(factor)}"
         elif correlation < 0.5:
             yield f"{name} does not follow the differentiated pose (correlation {correlation:.2f}); axes turned?"
+    # v_y of a point a metres ahead of the pose's is v_y + a r
+    yaw_rate = derived[2] - derived[2].mean()
+    if yaw_rate.std() > 0.2 and np.corrcoef(given[1], derived[1])[0, 1] > 0.5:
+        features = np.column_stack([yaw_rate, derived[0], derived[1], np.ones(len(yaw_rate))])
+        weights, *_ = np.linalg.lstsq(features, given[1], rcond=None)
+        if abs(weights[0]) > MAX_OFFSET and abs(weights[2] - 1.0) < 0.25:
+            side = "ahead of" if weights[0] > 0 else "behind"
+            yield f"v_y belongs to a point {abs(weights[0]):.2f} m {side} the one x and y track; see data.frame.forward"
 
 
 # ---- doubled driving
