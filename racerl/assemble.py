@@ -1,12 +1,11 @@
 """From a resolved configuration, a plain mapping, to the objects of the world."""
 
 from collections.abc import Mapping, Sequence
-from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
 import torch
 
+from racerl.documents import conf_folder as conf_folder
 from racerl.env.actions import create_action
 from racerl.env.observations import create_observation
 from racerl.env.race import Race, Timing
@@ -48,12 +47,6 @@ def use_threads(threads: Any) -> None:
     if isinstance(threads, bool) or not isinstance(threads, int) or not 1 <= threads <= 256:
         raise ConfigError(f"threads = {threads}: allowed is a whole number, 1 … 256")
     torch.set_num_threads(threads)
-
-
-def conf_folder() -> Path:
-    """Return the folder of packaged configurations: inside a wheel, or beside the package in a checkout."""
-    package = Path(str(files("racerl")))
-    return package / "conf" if (package / "conf").is_dir() else package.parent / "conf"
 
 
 def build_vehicle(settings: Settings) -> Vehicle:

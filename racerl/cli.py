@@ -51,6 +51,12 @@ Runs = Annotated[
 ]
 
 
+Logs = Annotated[
+    list[str] | None,
+    typer.Argument(metavar="LOG... [KEY=VALUE]...", autocompletion=_complete, show_default=False),
+]
+
+
 def _version(wanted: bool) -> None:
     if wanted:
         typer.echo(f"racerl {__version__}")
@@ -103,6 +109,15 @@ def report(arguments: Runs = None) -> None:
     Writes one self-contained report.html about the runs, or about all under outputs/.
     """
     _run("report", arguments, _report, positional="runs")
+
+
+@app.command(context_settings=HYDRA)
+def data(arguments: Logs = None) -> None:
+    """Show what logs hold: racerl data drive.csv.gz, or racerl data bag.mcap data=ros2
+
+    Channels, rates, noise, coverage, and a warning for every trap seen; writes data.json and report.html.
+    """
+    _run("data", arguments, _data, positional="logs")
 
 
 def _run(
@@ -210,6 +225,36 @@ def _report(settings: "Settings", out: Path) -> None:
 
     page = report(settings, out)
     _console().print(f"report in {page}", highlight=False, soft_wrap=True)
+
+
+def _data(settings: "Settings", out: Path) -> None:
+    from racerl.data.survey import survey
+    from racerl.report.log_page import draw_logs
+
+    console = _console()
+    facts = survey(settings, out)
+    for log in facts["logs"]:
+        _print_log(console, log)
+    for warning in facts["warnings"]:
+        console.print(f"warning: {warning}", highlight=False, soft_wrap=True, markup=False)
+    console.print(f"report in {draw_logs(out)}", highlight=False, soft_wrap=True)
+
+
+def _print_log(console: Any, log: dict[str, Any]) -> None:
+    from rich.markup import escape
+    from rich.table import Table
+
+    title = f"{log['name']}: {log['seconds']:.1f} s in {len(log['runs'])} runs at {log['rate_hz']:g} Hz"
+    table = Table("channel", "unit", "least", "greatest", "noise", "new per s", title=escape(title))
+    for name, channel in log["channels"].items():
+        noise = "–" if channel["noise"] is None else f"{channel['noise']:.2g}"
+        row = (channel["unit"], f"{channel['min']:.3f}", f"{channel['max']:.3f}", noise, f"{channel['updates_hz']:.0f}")
+        table.add_row(name, *row)
+    console.print(table)
+    lines = [f"not in the log: {', '.join(log['missing'])}"] if log["missing"] else []
+    lines += [*log["remarks"], *(f"warning: {warning}" for warning in log["warnings"])]
+    for line in lines:
+        console.print(line, highlight=False, soft_wrap=True, markup=False)
 
 
 def _console() -> Any:

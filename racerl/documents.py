@@ -11,6 +11,7 @@ import math
 import os
 import tempfile
 from collections.abc import Mapping
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,12 @@ from racerl.errors import DocumentError
 
 MAX_TEXT_BYTES = 8 * 1024 * 1024
 MAX_YAML_BYTES = 1024 * 1024
+
+
+def conf_folder() -> Path:
+    """Return the folder of packaged configurations: inside a wheel, or beside the package in a checkout."""
+    package = Path(str(files("racerl")))
+    return package / "conf" if (package / "conf").is_dir() else package.parent / "conf"
 
 
 def write_bytes(path: Path, content: bytes) -> None:

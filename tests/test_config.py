@@ -28,13 +28,16 @@ def test_no_file_is_left_out():
         "evaluate.yaml",
         "record.yaml",
         "report.yaml",
-        *(f"drive/{path.name}" for path in (CONF / "drive").glob("*.yaml")),  # composed below
+        "data.yaml",
+        "identify.yaml",
+        *(f"{group}/{path.name}" for group in ("drive", "method") for path in (CONF / group).glob("*.yaml")),
         "track/file.yaml",
         "vehicle/file.yaml",
         "car/model.yaml",
         "hydra/racerl.yaml",
     }
-    assert found == listed | rest
+    mappings = {path.relative_to(CONF).as_posix() for path in (CONF / "data").glob("*.yaml")}  # tests/data reads each
+    assert found == listed | rest | mappings
 
 
 @pytest.mark.parametrize("choice", CHOICES)
@@ -49,9 +52,19 @@ def test_every_choice_composes_and_drives(choice):
     assert torch.isfinite(step.observation).all() and race.faults == 0
 
 
-@pytest.mark.parametrize("command", ["train", "evaluate", "record", "report"])
-def test_every_command_composes(command):
-    settings = compose_settings(command, ["run=x"] if command == "evaluate" else [])
+@pytest.mark.parametrize(
+    "command, words",
+    [
+        ("train", []),
+        ("evaluate", ["run=x"]),
+        ("record", []),
+        ("report", []),
+        ("data", ["logs=[x]"]),
+        ("identify", ["logs=[x]"]),
+    ],
+)
+def test_every_command_composes(command, words):
+    settings = compose_settings(command, words)
     assert settings["out"].startswith(f"outputs/{command}/")
 
 

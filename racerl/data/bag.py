@@ -1,0 +1,363 @@
+"""ROS 2 bags: the topics that a layout names, decoded by `rosbags` into one stream of samples per channel.
+
+A bag is a folder, a `.db3` (sqlite3), a `.mcap`, or a `.zip` with one of these. Message definitions that a bag
+carries are never used, since decoders are generated from them: types are looked up among ROS 2's own and `DEFINITIONS`.
+
+A damaged bag must not hang or fill the memory. So sizes and counts are limited, a database is checked before it is
+read, and the chunks of an MCAP file are unpacked once under a limit before the reader sees them. A third of the bags
+with a flipped byte decode all the same: stamps, orientations and numbers are checked after decoding.
+"""
+
+import contextlib
+import functools
+import importlib
+import sqlite3
+import struct
+import tempfile
+import time
+import zipfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from racerl.data.layout import Layout, Source
+from racerl.documents import read_yaml
+from racerl.errors import DocumentError, LogError, suggest
+
+STORAGES = (".db3", ".mcap")
+MAX_BYTES = 4 * 1024**3  # of a bag's storage files together
+MAX_UNPACKED = 1024**3  # of a zip
+MAX_CHUNK = 256 * 1024**2  # of an MCAP chunk, unpacked
+MAX_FILES = 64
+MAX_MESSAGES = 5_000_000
+MAX_MESSAGE_BYTES = 1024**2
+MAX_CHECK_S = 60.0  # for the check of a database
+BAD_SHARE = 0.01  # of a channel's samples that may be implausible before the bag counts as damaged
+NORM = 0.02  # by which an orientation's length may differ from one
+CLOCK = 3600.0  # s that a message's own stamp may differ from the bag's, relative to their median difference
+
+# layouts of messages that ROS 2 does not bring along: names and types in their order on the wire
+DEFINITIONS = {
+    "ackermann_msgs/msg/AckermannDrive": "float32 steering_angle\nfloat32 steering_angle_velocity\nfloat32 speed\n"
+    "float32 acceleration\nfloat32 jerk",
+    "ackermann_msgs/msg/AckermannDriveStamped": "std_msgs/Header header\nackermann_msgs/AckermannDrive drive",
+    "vesc_msgs/msg/VescState": "\n".join(
+        [
+            *(f"float64 {name}" for name in ("temp_fet", "temp_motor", "current_motor", "current_input")),
+            *(f"float64 {name}" for name in ("avg_id", "avg_iq", "duty_cycle", "speed", "voltage_input")),
+            *(f"float64 {name}" for name in ("charge_drawn", "charge_regen", "energy_drawn", "energy_regen")),
+            *(f"int32 {name}" for name in ("displacement", "distance_traveled", "fault_code")),
+            "float64 pid_pos_now\nint32 controller_id",
+            *(f"float64 {name}" for name in ("ntc_temp_mos1", "ntc_temp_mos2", "ntc_temp_mos3", "avg_vd", "avg_vq")),
+        ]
+    ),
+    "vesc_msgs/msg/VescStateStamped": "std_msgs/Header header\nvesc_msgs/VescState state",
+}
+
+
+class Stream(NamedTuple):
+    """One channel on its own clock: stamps in s, increasing, and values."""
+
+    t: NDArray[np.float64]
+    value: NDArray[np.float64]
+    hold: bool = False
+
+
+def is_bag(path: Path) -> bool:
+    """Return whether a path is to be read as a bag."""
+    return path.is_dir() or path.suffix.lower() in (*STORAGES, ".zip")
+
+
+def read_streams(path: Path, layout: Layout) -> tuple[dict[str, Stream], tuple[str, ...]]:
+    """Return the layout's channels that the bag has, and remarks; raise LogError, one line, for a damaged bag."""
+    with contextlib.ExitStack() as stack:
+        files = [file for file in _storage_files(path, stack) if _check_storage(path, file)]
+        try:
+            return _decode(path, files, layout)
+        except LogError:
+            raise
+        except MemoryError as error:
+            raise LogError(f"{path}: does not fit into memory; cut the bag") from error
+        except Exception as error:  # on damaged bytes the decoder may raise anything
+            detail = " ".join(str(error).split())[:160] or type(error).__name__
+            raise LogError(f"{path}: cannot be decoded ({detail}); is the bag complete?") from error
+
+
+def _storage_files(path: Path, stack: contextlib.ExitStack) -> list[Path]:
+    if path.suffix.lower() == ".zip" and path.is_file():
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="racerl-bag-")))
+        _unpack(path, folder)
+    else:
+        folder = path
+    if folder.is_dir():
+        files = sorted(file for file in folder.iterdir() if file.suffix.lower() in STORAGES and file.is_file())
+        _check_metadata(path, folder)
+    else:
+        files = [folder]
+    if not 1 <= len(files) <= MAX_FILES:
+        raise LogError(f"{path}: holds {len(files)} .db3 or .mcap files; a bag has 1 … {MAX_FILES}")
+    size = sum(file.stat().st_size for file in files)
+    if size > MAX_BYTES:
+        raise LogError(f"{path}: {size} bytes, at most {MAX_BYTES} are read; split the bag")
+    return files
+
+
+def _unpack(path: Path, folder: Path) -> None:
+    """Unpack the storage files and the metadata of a zip, by their bare names, under a limit."""
+    left = MAX_UNPACKED
+    try:
+        with zipfile.ZipFile(path) as archive:
+            wanted = [m for m in archive.infolist() if m.filename.lower().endswith((*STORAGES, "metadata.yaml"))]
+            names = [Path(member.filename.replace("\\", "/")).name for member in wanted]
+            if not wanted or len(wanted) > MAX_FILES or len(set(names)) < len(names):
+                raise LogError(f"{path}: holds {len(wanted)} files of bags; a zip of one bag is read")
+            for member, name in zip(wanted, names, strict=True):
+                with archive.open(member) as source, (folder / name).open("wb") as target:
+                    while block := source.read(min(left + 1, 1 << 20)):
+                        left -= len(block)
+                        if left < 0:
+                            raise LogError(f"{path}: more than {MAX_UNPACKED} bytes when unpacked; split the bag")
+                        target.write(block)
+    except LogError:
+        raise
+    except OSError as error:
+        raise LogError(f"{path}: cannot be unpacked ({error.strerror or error}); is it complete?") from error
+    except Exception as error:  # zipfile raises struct, zlib, unicode, runtime and its own errors on damaged bytes
+        raise LogError(f"{path}: is a damaged zip ({' '.join(str(error).split())[:120]}); copy it again") from error
+
+
+def _check_metadata(path: Path, folder: Path) -> None:
+    """Raise LogError when the bag says it is compressed; its other facts are read from the storage itself."""
+    if not (folder / "metadata.yaml").is_file():
+        return
+    try:
+        facts = read_yaml(folder / "metadata.yaml").get("rosbag2_bagfile_information")
+    except DocumentError:
+        return
+    mode = str(facts.get("compression_mode") or "none").lower() if isinstance(facts, Mapping) else "none"
+    if mode != "none":
+        raise LogError(f"{path}: is compressed by {mode}; convert it first: ros2 bag convert, without compression")
+
+
+def _check_storage(path: Path, file: Path) -> bool:
+    """Raise LogError for a storage file that is damaged or would not fit; return True."""
+    try:
+        if file.suffix.lower() == ".db3":
+            _check_database(path, file)
+        else:
+            _check_mcap(path, file)
+    except LogError:
+        raise
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
+    except Exception as error:  # struct, sqlite3, lz4 and zstd errors
+        detail = " ".join(str(error).split())[:120] or type(error).__name__
+        raise LogError(f"{path}: is damaged ({detail}); copy it again") from error
+    return True
+
+
+def _check_database(path: Path, file: Path) -> None:
+    deadline = time.monotonic() + MAX_CHECK_S
+    with contextlib.closing(sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro&immutable=1", uri=True)) as database:
+        database.set_progress_handler(lambda: time.monotonic() > deadline, 100_000)
+        verdict = database.execute("PRAGMA quick_check(1)").fetchone()[0]
+        if verdict != "ok":
+            raise LogError(f"{path}: is damaged ({' '.join(str(verdict).split())[:120]}); copy it again")
+        count, longest = database.execute("SELECT count(*), max(length(data)) FROM messages").fetchone()
+        texts = database.execute("SELECT count(*), max(length(name)) FROM topics").fetchone()
+    if count > 20 * MAX_MESSAGES or (longest or 0) > MAX_CHUNK or texts[0] > 10_000 or (texts[1] or 0) > 10_000:
+        raise LogError(f"{path}: {count} messages of up to {longest} bytes; too many, split the bag")
+
+
+def _check_mcap(path: Path, file: Path) -> None:
+    """Walk the records of an MCAP file: opcode (1 byte), length (8), content; unpack each chunk under a limit."""
+    size, total, indexed = file.stat().st_size, 0, set()
+    with file.open("rb") as stream:
+        magic = stream.read(8)
+        while (head := stream.read(9)) and magic == b"\x89MCAP0\r\n":
+            if head[0] == 0x02:  # footer
+                return
+            if len(head) < 9:
+                break
+            length = int.from_bytes(head[1:], "little")
+            if length > size - stream.tell():
+                break
+            if head[0] == 0x06:
+                total += _chunk_size(path, stream.read(length))
+            elif head[0] == 0x08:
+                start = stream.read(24)[16:]
+                if start in indexed:
+                    raise LogError(f"{path}: its index names a chunk twice, so it is damaged; copy it again")
+                indexed.add(start)
+                stream.seek(length - 24, 1)
+            else:
+                if head[0] in (0x03, 0x04) and length > MAX_MESSAGE_BYTES:
+                    break
+                stream.seek(length, 1)
+            if total > MAX_BYTES:
+                raise LogError(f"{path}: more than {MAX_BYTES} bytes when unpacked; split the bag")
+    raise LogError(f"{path}: is cut short or damaged at byte {file.stat().st_size if magic else 0}; copy it again")
+
+
+def _chunk_size(path: Path, content: bytes) -> int:
+    """Return a chunk's size; raise LogError when it is not what the chunk says or beyond the limit."""
+    # start and end time (8, 8), size unpacked (8), checksum (4), compression (4 + n), size packed (8), records
+    size, _, named = struct.unpack_from("<QII", content, 16)
+    if size > MAX_CHUNK:
+        raise LogError(f"{path}: a chunk of {size} bytes, at most {MAX_CHUNK} are read; write smaller chunks")
+    compression, records = content[32 : 32 + named], content[40 + named :]
+    if compression == b"zstd":
+        zstd = _zstd()
+        unpacked = len(zstd.ZstdDecompressor().decompress(records, max_length=size + 1))
+    elif compression == b"lz4":
+        import lz4.frame
+
+        unpacked = len(lz4.frame.LZ4FrameDecompressor().decompress(records, max_length=size + 1))
+    else:
+        unpacked = len(records)
+    if unpacked != size:
+        raise LogError(f"{path}: a chunk unpacks to {unpacked} bytes instead of {size}; the file is damaged")
+    return int(size)
+
+
+def _zstd() -> Any:
+    try:
+        return importlib.import_module("compression.zstd")  # Python 3.14
+    except ImportError:
+        return importlib.import_module("backports.zstd")
+
+
+@functools.lru_cache(maxsize=1)
+def _typestore() -> Any:
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    for name, text in DEFINITIONS.items():
+        store.register(get_types_from_msg(text, name))
+    return store
+
+
+class _Samples:
+    """What has been decoded of one topic: stamps and, per channel, values."""
+
+    def __init__(self, sources: Mapping[str, Source]) -> None:
+        self.sources = sources
+        self.received: list[float] = []
+        self.stamped: list[float] = []
+        self.values: dict[str, list[float]] = {channel: [] for channel in sources}
+
+
+def _decode(path: Path, files: list[Path], layout: Layout) -> tuple[dict[str, Stream], tuple[str, ...]]:
+    from rosbags.rosbag2 import Reader
+
+    found: dict[str, _Samples] = {}
+    remarks: list[str] = []
+    for file in files:
+        with Reader(file) as reader:
+            kinds = {connection.topic: connection.msgtype for connection in reader.connections}
+            if not found:
+                found, remarks = _choose(path, kinds, layout)
+            wanted = [connection for connection in reader.connections if connection.topic in found]
+            count = sum(connection.msgcount for connection in wanted)
+            if count > MAX_MESSAGES:
+                raise LogError(f"{path}: {count} messages on the mapped topics, at most {MAX_MESSAGES}; split the bag")
+            for connection, received, raw in _bounded(path, reader.messages(wanted) if wanted else iter(())):
+                _append(path, found[connection.topic], connection, received, raw)
+    streams: dict[str, Stream] = {}
+    for topic, samples in found.items():
+        for channel, stream in _streams(path, topic, samples, layout.time.stamp, remarks):
+            streams[channel] = stream
+    if not streams:
+        raise LogError(f"{path}: its mapped topics hold no message")
+    ordered = {channel: streams[channel] for channel in layout.channels if channel in streams}
+    return ordered, tuple(remarks)
+
+
+def _bounded(path: Path, messages: Iterator[Any]) -> Iterator[Any]:
+    for number, message in enumerate(messages):
+        if number >= MAX_MESSAGES:
+            raise LogError(f"{path}: more than {MAX_MESSAGES} messages on the mapped topics; split the bag")
+        yield message
+
+
+def _choose(path: Path, kinds: Mapping[str, str], layout: Layout) -> tuple[dict[str, _Samples], list[str]]:
+    """Return the topics to read, each with the channels it feeds; raise LogError when there is none."""
+    topics: dict[str, dict[str, Source]] = {}
+    remarks = []
+    for channel, sources in layout.channels.items():
+        source = next((source for source in sources if source.topic in kinds), None)
+        if source is None:
+            remarks.append(f"no topic for {channel}: untestable")
+        else:
+            topics.setdefault(source.topic, {})[channel] = source
+    if not topics:
+        named = [source.topic for sources in layout.channels.values() for source in sources]
+        have = ", ".join(f"{topic} ({kind.rsplit('/', 1)[-1]})" for topic, kind in sorted(kinds.items())[:20])
+        raise LogError(
+            f"{path}: has none of the mapped topics; it holds {have or 'no topic'}{suggest(named[0], kinds, most=1)}"
+        )
+    for topic in topics:
+        if kinds[topic] not in _typestore().fielddefs:
+            raise LogError(f"{path}: {topic} is of the type {kinds[topic]}, which is not known here; leave it out")
+    return {topic: _Samples(channels) for topic, channels in topics.items()}, remarks
+
+
+def _append(path: Path, samples: _Samples, connection: Any, received: int, raw: bytes) -> None:
+    if len(raw) > MAX_MESSAGE_BYTES:
+        raise LogError(f"{path}: a message of {len(raw)} bytes on {connection.topic}; the bag is damaged")
+    message = _typestore().deserialize_cdr(raw, connection.msgtype)
+    samples.received.append(received * 1e-9)
+    stamp = getattr(getattr(message, "header", None), "stamp", None)
+    samples.stamped.append(stamp.sec + stamp.nanosec * 1e-9 if stamp is not None else received * 1e-9)
+    for channel, source in samples.sources.items():
+        samples.values[channel].append(_number(path, message, channel, source))
+
+
+def _number(path: Path, message: Any, channel: str, source: Source) -> float:
+    """Return a message's field as a number; an orientation gives the heading, NaN when it is none."""
+    value = message
+    for name in source.field.split("."):
+        if name.startswith("_") or not hasattr(value, name):
+            known = [key for key in getattr(value, "__dataclass_fields__", {}) if not key.startswith("_")]
+            raise LogError(f"{path}: {source.topic} has no field '{source.field}' ('{name}'){suggest(name, known)}")
+        value = getattr(value, name)
+    if all(hasattr(value, axis) for axis in "xyzw"):
+        x, y, z, w = value.x, value.y, value.z, value.w
+        if not abs((x * x + y * y + z * z + w * w) ** 0.5 - 1.0) < NORM:
+            return float("nan")
+        return float(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
+    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+        raise LogError(f"{path}: {source.topic}, field '{source.field}' for {channel} is no number; name a deeper one")
+    return float(value)
+
+
+def _streams(path: Path, topic: str, samples: _Samples, stamp: str, remarks: list[str]) -> Iterator[tuple[str, Stream]]:
+    """Yield the channels of a topic, checked: stamps of one clock and increasing, finite values."""
+    received, t = np.array(samples.received), np.array(samples.stamped if stamp == "header" else samples.received)
+    if not len(t):
+        remarks.append(f"{topic} holds no message: untestable")
+        return
+    with np.errstate(all="ignore"):
+        values = {c: samples.sources[c].convert(np.array(raw)) for c, raw in samples.values.items()}
+        late = t - received
+        good = np.isfinite(t) & (np.abs(late - np.median(late)) < CLOCK)
+        for value in values.values():
+            good &= np.isfinite(value)
+    # a stamp that lies before an earlier one, or beyond all later ones, is damaged
+    ahead = np.minimum.accumulate(np.where(good, t, np.inf)[::-1])[::-1]
+    good &= t <= ahead
+    order = np.flatnonzero(good)
+    order = order[np.concatenate([[True], np.diff(t[order]) > 0])] if len(order) else order
+    bad = len(t) - int(good.sum())
+    if bad > max(1.0, BAD_SHARE * len(t)):
+        raise LogError(
+            f"{path}: {bad} of {len(t)} messages on {topic} have an impossible stamp, orientation or number; "
+            "the bag is damaged, or its stamps are: data.time.stamp=received"
+        )
+    if bad:
+        remarks.append(f"{bad} of {len(t)} messages on {topic} left out: impossible stamp, orientation or number")
+    for channel, value in values.items():
+        yield channel, Stream(t[order], value[order], samples.sources[channel].hold)

@@ -1,0 +1,556 @@
+"""What a log holds and what is wrong with it: channels, rates, noise, coverage, and the traps that can be seen.
+
+Noise       median absolute third difference: of a smooth signal plus white noise σ it is 0.6745 √20 σ.
+Steering    ṙ is regressed on front and rear slip angles through saturating functions (any axle's
+            characteristic is near some sum of them); the shift of δ that explains ṙ best is its lag. Dynamics of yaw
+            and tyres are in the regression, so a clean log gives zero for δ, and the actuator's lag for δ_ref.
+Drive       a_x likewise on the slip ratio of ω, and on the current.
+Sign, unit  v_x tan δ / wheelbase against r, ω against v_x on straights, velocities against differentiated poses.
+
+A lag is positive when the car answers later than the channel. Every warning is one line.
+"""
+
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from racerl.data.differentiate import slope, smoothed, velocities
+from racerl.data.log import CHANNELS, POSE, VELOCITY, Log
+
+Array = NDArray[np.float64]
+
+MOVING = 0.8  # m/s, above which kinematic relations are looked at
+ENOUGH = 300  # samples that a check needs
+MAX_LAG = 0.25  # s searched to either side
+# s ahead and behind, share explained: within the first two, tyres, actuators and noise explain a lag; with less than
+# the third, the log can't tell. Noise in ω − v_x makes ω look late by up to 0.04 s.
+LIMITS = {
+    "delta": (0.035, 0.035, 0.35),
+    "delta_ref": (0.075, 0.035, 0.35),
+    "omega": (0.045, 0.08, 0.7),
+    "current": (0.045, 0.045, 0.35),
+    "delta to curvature": (0.15, 0.02, 0.9),
+    "delta_ref to curvature": (0.22, 0.02, 0.9),
+}
+MAX_POSE_LAG = 0.025  # s between velocities and differentiated poses
+MAX_OFFSET = 0.04  # m between the point of the velocities and the tracked one
+GENTLE = 2.5  # m/s² of lateral acceleration (90 %), below which a log may show the curvature but no yaw dynamics
+CLEAR = 0.6  # share of the yaw acceleration explained that shows the dynamics all the same
+HELD_SHARE = 0.6  # of the samples of a measured channel that repeat the one before
+CLIPPED_SHARE = 0.02  # of the samples that lie exactly at the extreme
+REPEATED = 1.0  # s of identical rows that count as doubled driving
+BINS = 24  # of a coverage histogram
+SLIP_SCALES = (0.05, 0.15, 0.5)  # rad, of the saturating functions
+GAIN = 0.02  # by which a shift must raise the explained share to be believed
+
+
+class Lag(NamedTuple):
+    """A measured lag in s, and the share (or correlation) explained with and without it."""
+
+    seconds: float
+    best: float
+    unshifted: float
+
+
+def inspect(log: Log, wheelbase: float = 0.33) -> dict[str, Any]:
+    """Return what a log holds, as plain JSON: channels, rate, runs, coverage, lags and warnings."""
+    lags = _lags(log, wheelbase)
+    return {
+        "name": log.name,
+        "rows": len(log.table),
+        "seconds": round(log.seconds, 6),
+        "rate_hz": round(1.0 / log.dt, 6),
+        "remarks": list(log.remarks),
+        "channels": {name: _channel(log, name) for name in log.channels},
+        "missing": [name for name in CHANNELS if name not in log.channels],
+        "runs": _runs(log),
+        "gaps": _gaps(log),
+        "coverage": coverage(log),
+        "lags": {name: lag._asdict() for name, lag in lags.items()},
+        "warnings": [
+            *_constant(log),
+            *_held(log),
+            *_clipped(log),
+            *_signs_and_units(log, wheelbase),
+            *_against_poses(log, lags.get("yaw to yaw_rate")),
+            *_lag_warnings(log, lags),
+            *_doubled(log),
+        ],
+    }
+
+
+def compare(logs: Sequence[Log]) -> list[str]:
+    """Return a warning for every pair of logs that share driving."""
+    warnings = []
+    hashes = [(log, set(_row_hashes(log).tolist())) for log in logs]
+    for i, (first, rows) in enumerate(hashes):
+        for second, others in hashes[i + 1 :]:
+            shared = len(rows & others) * first.dt
+            if shared >= REPEATED:
+                warnings.append(f"{first.name} and {second.name} share {shared:.1f} s of identical rows; keep one")
+    return warnings
+
+
+def _channel(log: Log, name: str) -> dict[str, Any]:
+    values = log.array(name)
+    changes = sum(int(np.count_nonzero(np.diff(run[name]))) for run in log.runs())
+    return {
+        "unit": CHANNELS[name].unit,
+        "min": float(values.min()),
+        "max": float(values.max()),
+        "mean": float(values.mean()),
+        "std": float(values.std()),
+        "noise": noise(log, name),
+        "updates_hz": round(changes / log.seconds, 3),
+    }
+
+
+def noise(log: Log, name: str) -> float | None:
+    """Return the standard deviation of a channel's white noise, None when it is held or constant."""
+    unwrap = np.unwrap if name == "yaw" else np.asarray
+    thirds = [np.diff(unwrap(run[name].to_numpy()), n=3) for run in log.runs() if len(run) > 3]
+    size = float(np.median(np.abs(np.concatenate(thirds)))) if thirds else 0.0
+    return size / (0.6745 * 20**0.5) if size > 0 else None
+
+
+def _runs(log: Log) -> list[dict[str, Any]]:
+    return [
+        {"run": int(run["run"].iloc[0]), "start_s": float(run["t"].iloc[0]), "seconds": round(len(run) * log.dt, 6)}
+        for run in log.runs()
+    ]
+
+
+def _gaps(log: Log) -> list[dict[str, float]]:
+    """Return the pauses between runs that follow each other in time."""
+    ends = [(float(run["t"].iloc[0]), float(run["t"].iloc[-1])) for run in log.runs()]
+    return [
+        {"after_s": before[1], "seconds": round(after[0] - before[1], 6)}
+        for before, after in itertools.pairwise(ends)
+        if after[0] - before[1] > 1.5 * log.dt
+    ]
+
+
+def states(log: Log) -> dict[str, Array]:
+    """Return the quantities whose range decides what a log can teach, each (rows,)."""
+    table = log.table
+    found: dict[str, Array] = {}
+    if "v_x" not in table:
+        return found
+    v_x = log.array("v_x")
+    found["speed"] = v_x
+    driving = np.maximum(np.abs(v_x), MOVING / 2)
+    v_y = log.array("v_y") if "v_y" in table else np.zeros_like(v_x)
+    r = log.array("yaw_rate") if "yaw_rate" in table else np.zeros_like(v_x)
+    if "v_y" in table:
+        found["slip_angle"] = np.arctan2(v_y, driving)
+    if "omega" in table:
+        found["slip_ratio"] = (log.array("omega") - v_x) / driving
+    v_x_dot, v_y_dot = (
+        np.concatenate(
+            [slope(run[name].to_numpy(), log.dt) if name in run else np.zeros(len(run)) for run in log.runs()]
+        )
+        for name in ("v_x", "v_y")
+    )
+    if "yaw_rate" in table:
+        found["a_x"] = v_x_dot - v_y * r
+        found["a_y"] = v_y_dot + v_x * r
+    return found
+
+
+STATE_UNITS = {"speed": "m/s", "slip_angle": "rad", "slip_ratio": "", "a_x": "m/s²", "a_y": "m/s²"}
+
+
+def coverage(log: Log) -> dict[str, Any]:
+    """Return percentiles and a histogram of each state, over rows where the car moves."""
+    found = states(log)
+    moving = found["speed"] > MOVING / 2 if "speed" in found else np.ones(len(log.table), dtype=bool)
+    result = {}
+    for name, values in found.items():
+        values = values[moving]
+        if len(values) < 10:
+            continue
+        low, high = np.percentile(values, [0.5, 99.5])
+        counts, edges = np.histogram(values, bins=BINS, range=(low, max(high, low + 1e-9)))
+        result[name] = {
+            "unit": STATE_UNITS[name],
+            "percentiles": {str(p): float(np.percentile(values, p)) for p in (1, 5, 25, 50, 75, 95, 99)},
+            "edges": edges.tolist(),
+            "seconds": (counts * log.dt).tolist(),
+        }
+    return result
+
+
+def _moving(log: Log) -> NDArray[np.bool_]:
+    return log.array("v_x") > MOVING if "v_x" in log.table else np.zeros(len(log.table), dtype=bool)
+
+
+def _has(log: Log, *names: str) -> bool:
+    return all(name in log.table for name in names)
+
+
+# ---- lags
+
+
+def _lags(log: Log, wheelbase: float) -> dict[str, Lag]:
+    lags: dict[str, Lag | None] = {}
+    for name in ("delta", "delta_ref"):
+        if _has(log, *VELOCITY, name):
+            lag = steering_lag(log, name, wheelbase)
+            if _is_gentle(log) and (lag is None or lag.best < CLEAR):
+                lags[f"{name} to curvature"] = curvature_lag(log, name, wheelbase)
+            else:
+                lags[name] = lag
+    held = {name for name, _ in _slow(log)}
+    if _has(log, *VELOCITY, "omega") and "omega" not in held:
+        lags["omega"] = wheel_lag(log)
+    if _has(log, *VELOCITY, "current") and "current" not in held:
+        lags["current"] = current_lag(log)
+    lags["yaw to yaw_rate"] = pose_lag(log)
+    if _has(log, "delta", "delta_ref"):
+        lags["delta_ref to delta"] = correlation_lag(log, "delta_ref", "delta")
+    return {name: lag for name, lag in lags.items() if lag is not None}
+
+
+def steering_lag(log: Log, name: str, wheelbase: float) -> Lag | None:
+    """Return how much later the car yaws than a steering channel says; None when the log can't tell."""
+
+    def known(run: pd.DataFrame, speed: Array) -> tuple[Array, Array, Array]:
+        v_y, r, half = run["v_y"].to_numpy(), run["yaw_rate"].to_numpy(), wheelbase / 2
+        front, rear = np.arctan2(v_y + half * r, speed), np.arctan2(v_y - half * r, speed)
+        return front, np.column_stack([_bank(-rear), front]), slope(r, log.dt, _smooth(log))
+
+    def slips(angle: Array, front: Array, speed: Array) -> Array:
+        # the angle itself besides, so that a wrong scale of it does no harm
+        return np.column_stack([_bank(angle - front), angle])
+
+    return _regression_lag(log, name, known, slips)
+
+
+def _is_gentle(log: Log) -> bool:
+    moving = _moving(log)
+    lateral = np.abs(log.array("v_x") * log.array("yaw_rate"))[moving]
+    return len(lateral) > 0 and float(np.percentile(lateral, 90)) < GENTLE
+
+
+def curvature_lag(log: Log, name: str, wheelbase: float) -> Lag | None:
+    """Return how much later the yaw rate moves than v_x tan δ / wheelbase; None when the log can't tell."""
+    kinematic = log.table.assign(kinematic=log.array("v_x") * np.tan(log.array(name)) / wheelbase)
+    return correlation_lag(replace(log, table=kinematic), "kinematic", "yaw_rate")
+
+
+def wheel_lag(log: Log) -> Lag | None:
+    """Return how much later the car accelerates than the slip of its wheels says; None when the log can't tell."""
+
+    def slips(omega: Array, v_x: Array, speed: Array) -> Array:
+        return _bank((omega - v_x) / speed)
+
+    return _regression_lag(log, "omega", _longitudinal(log), slips)
+
+
+def current_lag(log: Log) -> Lag | None:
+    """Return how much later the car accelerates than the motor's current says; None when the log can't tell."""
+
+    def torque(current: Array, v_x: Array, speed: Array) -> Array:
+        return current[:, None]
+
+    return _regression_lag(log, "current", _longitudinal(log), torque)
+
+
+Known = Callable[[pd.DataFrame, Array], tuple[Array, Array, Array]]
+Shifted = Callable[[Array, Array, Array], Array]
+
+
+def _longitudinal(log: Log) -> Known:
+    """Return what a_x depends on besides the drive: speed (drag), and v_y r and r² (the front axle in curves)."""
+
+    def known(run: pd.DataFrame, speed: Array) -> tuple[Array, Array, Array]:
+        v_x, v_y, r = (run[channel].to_numpy() for channel in VELOCITY)
+        smooth = smoothed(v_x, _smooth(log))
+        return smooth, np.column_stack([v_x, v_y * r, r * r]), slope(v_x, log.dt, _smooth(log)) - v_y * r
+
+    return known
+
+
+def _regression_lag(log: Log, name: str, known: Known, shifted: Shifted) -> Lag | None:
+    """Return the shift of a channel with which an acceleration is explained best.
+
+    `known(run, speed)` gives what the shifted features need, further features (rows, K) and the acceleration (rows,);
+    `shifted(channel, needed, speed)` gives the features to shift, which must raise the acceleration.
+    """
+    reach = round(MAX_LAG / log.dt)
+    parts = []
+    for run in log.runs():
+        if len(run) < 4 * reach:
+            continue
+        v_x, signal = run["v_x"].to_numpy(), run[name].to_numpy()
+        inner = np.flatnonzero(v_x[reach : len(run) - reach] > MOVING) + reach
+        speed = np.maximum(v_x, MOVING / 2)
+        needed, rest, target = (values[inner] for values in known(run, speed))
+        parts.append((smoothed(signal, _smooth(log)), inner, speed[inner], needed, rest, target))
+    target = np.concatenate([part[-1] for part in parts]) if parts else np.zeros(0)
+    if len(target) < ENOUGH or target.std() < 1e-2 or np.concatenate([part[0] for part in parts]).std() < 5e-3:
+        return None
+    scores = []
+    for shift in range(-reach, reach + 1):
+        rows = [
+            np.hstack([shifted(signal[inner - shift], needed, speed), rest])
+            for signal, inner, speed, needed, rest, _ in parts
+        ]
+        scores.append(_explained(np.vstack(rows), target, shifted(np.full(1, 1e-3), np.zeros(1), np.ones(1))[0]))
+    return _best(scores, reach, log.dt)
+
+
+def _smooth(log: Log) -> int:
+    """Return the window of the lag estimators in samples: 0.15 s, odd."""
+    return max(5, int(0.15 / log.dt) | 1)
+
+
+def _bank(slip: Array) -> Array:
+    """Return saturating functions of a slip, (rows, scales)."""
+    return np.stack([np.tanh(slip / scale) for scale in SLIP_SCALES], axis=1)
+
+
+def _explained(features: Array, target: Array, small: Array) -> float:
+    """Return the share of the target's variance that a linear fit explains.
+
+    It is zero when a `small` positive step of the first features lowers the target, as no tyre and no motor does.
+    """
+    matrix = np.hstack([features, np.ones((len(target), 1))])
+    scale = np.maximum(matrix.std(axis=0), 1e-9)
+    scale[-1] = 1.0
+    matrix = matrix / scale
+    gram = matrix.T @ matrix
+    weights = np.linalg.solve(gram + 1e-6 * len(target) * np.eye(len(gram)), matrix.T @ target)
+    if small @ (weights / scale)[: len(small)] <= 0.0:
+        return 0.0
+    return max(0.0, float(1.0 - np.var(target - matrix @ weights) / np.var(target)))
+
+
+def _best(scores: list[float], reach: int, dt: float) -> Lag:
+    k = int(np.argmax(scores))
+    return Lag(round((k - reach) * dt, 6), scores[k], scores[reach])
+
+
+def correlation_lag(log: Log, first: str, second: str) -> Lag | None:
+    """Return how much later the second channel moves than the first, by their greatest correlation."""
+    reach = round(MAX_LAG / log.dt)
+    runs = [run for run in log.runs() if len(run) >= 4 * reach]
+    return _correlation([(run[first].to_numpy(), run[second].to_numpy()) for run in runs], reach, log.dt)
+
+
+def _correlation(pairs: list[tuple[Array, Array]], reach: int, dt: float) -> Lag | None:
+    if sum(len(a) for a, _ in pairs) < ENOUGH:
+        return None
+    target = np.concatenate([b[reach : len(b) - reach] for _, b in pairs])
+    scores = []
+    for shift in range(-reach, reach + 1):
+        moved = np.concatenate([a[reach - shift : len(a) - reach - shift] for a, _ in pairs])
+        if moved.std() < 1e-6 or target.std() < 1e-6:
+            return None
+        scores.append(float(np.corrcoef(moved, target)[0, 1]))
+    return _best(scores, reach, dt)
+
+
+def _lag_warnings(log: Log, lags: dict[str, Lag]) -> Iterator[str]:
+    for key, (ahead, behind, least) in LIMITS.items():
+        lag, name = lags.get(key), key.split(" ")[0]
+        if lag is None or lag.best < least or lag.best - lag.unshifted < (1e-3 if "curvature" in key else GAIN):
+            continue
+        answer = "the yaw rate" if name in ("delta", "delta_ref") else "the acceleration"
+        if lag.seconds >= ahead:
+            yield (
+                f"{name} is {lag.seconds:.3f} s ahead of {answer}: a lag of the car or stamps of another clock; "
+                f"data.shift.{name}={lag.seconds:g} lines them up"
+            )
+        elif lag.seconds <= -behind:
+            yield (
+                f"{name} is {-lag.seconds:.3f} s behind {answer}, which no car does: stamps of another clock; "
+                f"data.shift.{name}={lag.seconds:g} lines them up"
+            )
+    lag = lags.get("yaw to yaw_rate")
+    if lag is not None and lag.best > 0.8 and abs(lag.seconds) >= MAX_POSE_LAG and lag.best - lag.unshifted > 1e-3:
+        yield (
+            f"yaw_rate is {lag.seconds:+.3f} s behind the differentiated yaw: filtered, or stamps of another clock; "
+            "leave the velocities out of the mapping and they are made from the poses"
+        )
+    lag = lags.get("delta_ref to delta")
+    if lag is not None and lag.best > 0.5 and lag.best - lag.unshifted > 1e-3 and not -0.015 <= lag.seconds <= 0.15:
+        yield f"delta follows delta_ref by {lag.seconds:+.3f} s; expected is 0 … 0.15 s; check the stamps of both"
+
+
+# ---- traps in single channels
+
+
+def _constant(log: Log) -> Iterator[str]:
+    for name in log.channels:
+        values = log.array(name)
+        if np.ptp(values) <= 1e-12 * max(1.0, float(np.abs(values).max())):
+            yield f"{name} is constant ({values[0]:.4g} {CHANNELS[name].unit}): it tells nothing, a dead sensor?"
+
+
+def _slow(log: Log) -> Iterator[tuple[str, float]]:
+    """Yield the measured channels that mostly repeat themselves, and their updates per second; commands may."""
+    moving = np.abs(log.array("v_x")) > 0.2 if "v_x" in log.table else np.ones(len(log.table), dtype=bool)
+    both = (np.diff(log.table["run"].to_numpy()) == 0) & moving[1:] & moving[:-1]
+    if both.sum() < ENOUGH:
+        return
+    for name in log.channels:
+        changed = np.diff(log.array(name))[both] != 0.0
+        if not name.endswith("_ref") and 1.0 - changed.mean() >= HELD_SHARE and changed.sum() >= 5:
+            yield name, float(changed.mean() / log.dt)
+
+
+def _held(log: Log) -> Iterator[str]:
+    for name, rate in _slow(log):
+        yield (
+            f"{name} is held between updates: {rate:.1f} of {1 / log.dt:.0f} samples per second are new, "
+            f"so it is {0.5 / rate:.3f} s old on average"
+        )
+
+
+def _clipped(log: Log) -> Iterator[str]:
+    held = {name for name, _ in _slow(log)}
+    for name in ("v_x", "v_y", "yaw_rate", "omega", "current"):
+        if name not in log.table or name in held or len(log.table) < ENOUGH:
+            continue
+        values = log.array(name)
+        for bound, side in ((values.max(), "largest"), (values.min(), "smallest")):
+            share = float(np.mean(values == bound))
+            if share >= CLIPPED_SHARE and bound != 0.0 and np.ptp(values) > 0:
+                yield f"{name} is clipped: {share:.1%} of its samples are exactly its {side} value {bound:.4g}"
+
+
+# ---- signs and units
+
+
+def _signs_and_units(log: Log, wheelbase: float) -> Iterator[str]:
+    moving = _moving(log)
+    for name in ("delta", "delta_ref"):
+        if _has(log, "v_x", "yaw_rate", name) and moving.sum() >= ENOUGH:
+            angle, r = log.array(name)[moving], log.array("yaw_rate")[moving]
+            kinematic = log.array("v_x")[moving] * np.tan(angle) / wheelbase
+            if kinematic.std() < 0.02 or r.std() < 0.02:
+                continue
+            correlation = float(np.corrcoef(kinematic, r)[0, 1])
+            if correlation < -0.4:
+                yield f"{name} and yaw_rate have opposite signs (correlation {correlation:.2f}); left is positive"
+            speed = log.array("v_x")[moving]
+            gentle = np.abs(speed * r) < 3.0  # m/s², below which tyres hardly slip
+            # a countersteered drift is not gentle; when the angle's unit is wrong, the limit falls on everything alike
+            straight = np.abs(speed * kinematic) < max(3.0, float(np.percentile(np.abs(speed * kinematic), 30)))
+            gentle &= straight
+            size = float(np.sum(kinematic[gentle] * r[gentle]) / max(np.sum(kinematic[gentle] ** 2), 1e-12))
+            if correlation > 0.4 and gentle.sum() >= ENOUGH and not 0.25 < size < 2.5:
+                yield (
+                    f"yaw_rate is {size:.3g} times v_x tan({name})/wheelbase in gentle curves: {_factor(size)}"
+                    f"; check the units and data.vehicle.wheelbase = {wheelbase:g} m"
+                )
+    yield from _wheel_unit(log, moving)
+
+
+def _wheel_unit(log: Log, moving: NDArray[np.bool_]) -> Iterator[str]:
+    for name in ("omega", "omega_ref"):
+        if not _has(log, "v_x", name) or moving.sum() < ENOUGH:
+            continue
+        straight = moving
+        if "yaw_rate" in log.table:
+            straight = moving & (np.abs(log.array("yaw_rate")) < 0.5)
+            straight = straight if straight.sum() >= ENOUGH / 3 else moving
+        ratio = float(np.median(log.array(name)[straight] / log.array("v_x")[straight]))
+        if ratio < -0.2:
+            yield f"{name} has the opposite sign of v_x (ratio {ratio:.2f}); forward is positive in both"
+        elif not 0.7 < ratio < 1.45:
+            yield f"{name} is {ratio:.3g} times v_x on straights: {_factor(ratio)}; its unit must be m/s at the tyre"
+
+
+def _factor(ratio: float) -> str:
+    """Return what a factor may come from."""
+    known = {
+        "deg for rad": np.pi / 180,
+        "rad for deg": 180 / np.pi,
+        "km/h for m/s": 3.6,
+        "m/s for km/h": 1 / 3.6,
+        "mm for m": 1000.0,
+        "m for mm": 0.001,
+    }
+    for name, factor in known.items():
+        if abs(np.log(abs(ratio) / factor)) < 0.15 if ratio else False:
+            return name
+    return "rad/s of a small wheel?" if 8.0 < ratio < 50.0 else "rpm?" if ratio >= 50.0 else "another unit or scale?"
+
+
+def _from_poses(log: Log) -> list[tuple[Array, Array]]:
+    """Return per run (given, differentiated) velocities, each (3, rows); none where there is nothing to compare."""
+    if not _has(log, *POSE, *VELOCITY) or any("differentiated" in remark for remark in log.remarks):
+        return []
+    window = _smooth(log)
+    runs = [run for run in log.runs() if len(run) > 4 * round(MAX_LAG / log.dt)]
+    if sum(len(run) for run in runs) < ENOUGH:
+        return []
+    channels = [{name: run[name].to_numpy() for name in (*POSE, *VELOCITY)} for run in runs]
+    return [
+        (
+            np.stack([smoothed(c[name], window) for name in VELOCITY]),
+            np.stack(velocities(c["x"], c["y"], c["yaw"], log.dt, window, 2)),
+        )
+        for c in channels
+    ]
+
+
+def pose_lag(log: Log) -> Lag | None:
+    """Return how much later the given yaw rate moves than the differentiated yaw; None when there is no yaw."""
+    pairs = [(derived[2], given[2]) for given, derived in _from_poses(log)]
+    return _correlation(pairs, round(MAX_LAG / log.dt), log.dt) if pairs else None
+
+
+def _against_poses(log: Log, lag: Lag | None) -> Iterator[str]:
+    """Velocities that were not made from the poses here must agree with them, apart from the lag."""
+    pairs = _from_poses(log)
+    if not pairs:
+        return
+    shift = 0 if lag is None else round(lag.seconds / log.dt)
+    early, late = max(0, shift), max(0, -shift)
+    derived = np.hstack([made[:, late : made.shape[1] - early] for _, made in pairs])
+    given = np.hstack([told[:, early : told.shape[1] - late] for told, _ in pairs])
+    for name, is_, should in zip(VELOCITY, given, derived, strict=True):
+        if should.std() < 0.05 or is_.std() < 1e-9:
+            continue
+        correlation, factor = float(np.corrcoef(is_, should)[0, 1]), float(is_.std() / should.std())
+        if correlation < -0.5:
+            yield f"{name} has the opposite sign of the differentiated pose (correlation {correlation:.2f})"
+        elif correlation > 0.7 and not 0.6 < factor < 1.6:
+            yield f"{name} is {factor:.3g} times the differentiated pose: {_factor(factor)}"
+        elif correlation < 0.5:
+            yield f"{name} does not follow the differentiated pose (correlation {correlation:.2f}); axes turned?"
+    # v_y of a point a metres ahead of the pose's is v_y + a r
+    yaw_rate = derived[2] - derived[2].mean()
+    if yaw_rate.std() > 0.2 and np.corrcoef(given[1], derived[1])[0, 1] > 0.5:
+        features = np.column_stack([yaw_rate, derived[0], derived[1], np.ones(len(yaw_rate))])
+        weights, *_ = np.linalg.lstsq(features, given[1], rcond=None)
+        if abs(weights[0]) > MAX_OFFSET and abs(weights[2] - 1.0) < 0.25:
+            side = "ahead of" if weights[0] > 0 else "behind"
+            yield f"v_y belongs to a point {abs(weights[0]):.2f} m {side} the one x and y track; see data.frame.forward"
+
+
+# ---- doubled driving
+
+
+def _row_hashes(log: Log) -> NDArray[np.uint64]:
+    """Return a hash per moving row of all channels; rows that repeat the one before are left out."""
+    table = log.table[log.channels]
+    fresh = np.concatenate([[True], (np.diff(table.to_numpy(), axis=0) != 0.0).any(axis=1)])
+    if "v_x" in table:
+        fresh &= np.abs(log.array("v_x")) > MOVING / 2
+    return np.asarray(pd.util.hash_pandas_object(table[fresh], index=False), dtype=np.uint64)
+
+
+def _doubled(log: Log) -> Iterator[str]:
+    hashes = _row_hashes(log)
+    repeated = (len(hashes) - len(np.unique(hashes))) * log.dt
+    if repeated >= REPEATED:
+        yield f"{repeated:.1f} s of driving are in the log twice, row for row; drop the doubled runs"

@@ -1,0 +1,372 @@
+"""Logs from files: tables (CSV, gzipped CSV, Parquet) and ROS 2 bags, through a layout of `conf/data/`.
+
+Either kind becomes pieces: unbroken stretches with a base clock and every channel on its own samples. A piece is
+sampled at one rate (straight lines between measurements, the previous value of commands), velocities are differentiated
+where only poses are given, and the tracked point is moved to the centre of gravity. Out comes a checked `Log`.
+
+Files may come from anybody: sizes are limited before anything is read, and every complaint is one line.
+"""
+
+import gzip
+import io
+import itertools
+import warnings
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from racerl.data.bag import Stream, is_bag, read_streams
+from racerl.data.differentiate import velocities
+from racerl.data.layout import Layout, Source, read_layout
+from racerl.data.log import CHANNELS, POSE, VELOCITY, Log, sample_time
+from racerl.documents import conf_folder, read_yaml
+from racerl.errors import LogError, RacerlError, suggest
+
+TABLES = (".csv", ".csv.gz", ".parquet")
+MAX_BYTES = 512 * 1024 * 1024  # of a table, unpacked
+MAX_HEADER_BYTES = 64 * 1024
+MAX_COLUMNS = 1000
+MAX_ROWS = 5_000_000
+EPOCH = 1e6  # s; later times are clock times, and counted from the first sample
+LEAP = 100.0  # m/s between two samples of a pose that no small car does
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One unbroken stretch: its id in the file, the base clock in s and the channels on their own clocks."""
+
+    run: Any
+    t: Array
+    streams: Mapping[str, Stream]
+
+
+def load_logs(paths: Sequence[Path], mapping: Mapping[str, Any]) -> list[Log]:
+    """Return one checked log per file, read through the composed `data` group; raise LogError or ConfigError."""
+    layout = read_layout(mapping)
+    return [load_log(Path(path), layout) for path in paths]
+
+
+def load_log(path: Path, layout: Layout) -> Log:
+    """Read one file through a layout."""
+    if not path.exists():
+        raise LogError(f"{path}: no such file; give a log ({', '.join(TABLES)}) or a ROS 2 bag (folder, .db3, .mcap)")
+    if is_bag(path):
+        if not layout.of_bag:
+            raise LogError(f"{path}: is a bag, but its mapping names no topics; give data=ros2")
+        streams, remarks = read_streams(path, layout)
+        pieces = _cut_streams(path.name, streams, layout)
+        return _assemble(path.name, pieces, layout, layout.resample, remarks)
+    if layout.of_bag:
+        raise LogError(f"{path}: is no bag, but its mapping names topics{_likely(_columns(read_table(path)))}")
+    table, remarks = _named(path, read_table(path), layout)
+    if _as_it_is(table, layout):
+        return Log.from_table(path.name, table, remarks)
+    pieces, more = _cut_table(path.name, table, layout)
+    return _assemble(path.name, pieces, layout, layout.resample, (*remarks, *more))
+
+
+def read_table(path: Path) -> pd.DataFrame:
+    """Read a table by its suffix; raise LogError for anything else, for a damaged file and for one too large."""
+    name = path.name.lower()
+    if not name.endswith(TABLES) or not path.is_file():
+        raise LogError(f"{path}: is no log; allowed are {', '.join(TABLES)} and ROS 2 bags (folder, .db3, .mcap, .zip)")
+    try:
+        if name.endswith(".parquet"):
+            return _read_parquet(path)
+        return _read_csv(path, _read_gzip(path) if name.endswith(".gz") else _read_plain(path))
+    except LogError:
+        raise
+    except (OSError, EOFError, zlib.error, ValueError, OverflowError, MemoryError, Warning, pa.ArrowException) as error:
+        detail = " ".join(str(error).split())[:160] or type(error).__name__
+        raise LogError(f"{path}: cannot be read ({detail}); is the file complete?") from error
+
+
+def _read_plain(path: Path) -> bytes:
+    size = path.stat().st_size
+    if size > MAX_BYTES:
+        raise LogError(f"{path}: {size} bytes, at most {MAX_BYTES} are read; cut the log")
+    return path.read_bytes()
+
+
+def _read_gzip(path: Path) -> bytes:
+    with gzip.open(path) as stream:
+        content = stream.read(MAX_BYTES + 1)
+    if len(content) > MAX_BYTES:
+        raise LogError(f"{path}: more than {MAX_BYTES} bytes when unpacked; cut the log")
+    return content
+
+
+def _read_csv(path: Path, content: bytes) -> pd.DataFrame:
+    header = content[: MAX_HEADER_BYTES + 1].split(b"\n", 1)[0]
+    if len(header) > MAX_HEADER_BYTES or header.count(b",") >= MAX_COLUMNS:
+        raise LogError(f"{path}: its first line is no header; at most {MAX_COLUMNS} columns are read")
+    if b"\0" in content:
+        raise LogError(f"{path}: holds zero bytes, so it is no text; is it another kind of file, or damaged?")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", pd.errors.ParserWarning)
+        table = pd.read_csv(io.BytesIO(content), index_col=False, low_memory=False, skipinitialspace=True)
+    return _limited(path, table)
+
+
+def _read_parquet(path: Path) -> pd.DataFrame:
+    with pq.ParquetFile(path) as file:
+        metadata = file.metadata
+        size = sum(metadata.row_group(i).total_byte_size for i in range(metadata.num_row_groups))
+        if metadata.num_rows > MAX_ROWS or metadata.num_columns > MAX_COLUMNS or size > MAX_BYTES:
+            raise LogError(f"{path}: {metadata.num_rows} rows, {metadata.num_columns} columns; too large, cut the log")
+        return _limited(path, file.read(use_threads=False).to_pandas(use_threads=False))
+
+
+def _limited(path: Path, table: pd.DataFrame) -> pd.DataFrame:
+    if not 2 <= len(table) <= MAX_ROWS:
+        raise LogError(f"{path}: holds {len(table)} rows; allowed are 2 … {MAX_ROWS}")
+    table.columns = [str(column).strip() for column in table.columns]
+    doubled = table.columns[table.columns.duplicated()]
+    if len(doubled):
+        raise LogError(f"{path}: has the column '{doubled[0]}' twice; rename one")
+    return table
+
+
+def _columns(table: pd.DataFrame) -> list[str]:
+    return [str(column) for column in table.columns]
+
+
+def _likely(columns: Sequence[str]) -> str:
+    """Return "; looks like data=…" for the packaged mapping that fits best, else what to do."""
+    best, most = "", 0
+    for path in sorted((conf_folder() / "data").glob("*.yaml")):
+        try:
+            layout = read_layout(read_yaml(path))
+        except RacerlError:
+            continue
+        named = [source.column for sources in layout.channels.values() for source in sources]
+        fitting = sum(column in columns for column in named or CHANNELS)
+        if not layout.of_bag and layout.time.column in columns and fitting > most:
+            best, most = path.stem, fitting
+    return f"; looks like data={best}" if best else "; write a mapping of its columns (see conf/data/dart.yaml)"
+
+
+def _named(path: Path, table: pd.DataFrame, layout: Layout) -> tuple[pd.DataFrame, tuple[str, ...]]:
+    """Return the rows that count, with t, run and the channels in their units."""
+    have = _columns(table)
+    if layout.time.column not in have:
+        near = suggest(layout.time.column, have, most=1) if not _likely(have).startswith("; looks") else ""
+        raise LogError(f"{path}: has no time column '{layout.time.column}'{near}{_likely(have)}")
+    sources = layout.channels or {name: (Source(column=name),) for name in CHANNELS if name in have}
+    chosen = {name: next((s for s in several if s.column in have), None) for name, several in sources.items()}
+    found = {name: source for name, source in chosen.items() if source is not None}
+    if not found:
+        raise LogError(f"{path}: has none of the columns that its mapping names{_likely(have)}")
+    remarks = [f"no column for {name}: untestable" for name in chosen if name not in found]
+    keep = np.ones(len(table), dtype=bool)
+    for column, value in layout.require.items():
+        if column not in have:
+            raise LogError(f"{path}: data.require names the column '{column}', which it lacks{suggest(column, have)}")
+        keep &= _numeric(path, table[column]) == value
+    if not keep.all():
+        remarks.append(f"{(~keep).sum()} rows left out by data.require ({', '.join(layout.require)})")
+    rows = table[keep]
+    if len(rows) < 2:
+        raise LogError(f"{path}: data.require leaves {len(rows)} of {len(table)} rows; check its values")
+    t = layout.time.scale * _numeric(path, rows[layout.time.column])
+    named: dict[str, Any] = {"t": t}
+    if layout.run is not None and layout.run in have:
+        named["run"] = rows[layout.run].to_numpy()
+    for name, source in found.items():
+        named[name] = source.convert(_numeric(path, rows[source.column]))
+    return pd.DataFrame(named), tuple(remarks)
+
+
+def _numeric(path: Path, column: pd.Series) -> Array:
+    if not pd.api.types.is_numeric_dtype(column) or pd.api.types.is_bool_dtype(column):
+        raise LogError(f"{path}: column '{column.name}' is not numeric; is it another file or a broken line?")
+    if pd.api.types.is_complex_dtype(column):
+        raise LogError(f"{path}: column '{column.name}' holds complex numbers; give real ones")
+    return column.to_numpy(dtype=np.float64, na_value=np.nan)
+
+
+def _as_it_is(table: pd.DataFrame, layout: Layout) -> bool:
+    """Return whether the rows can stand as they are: nothing to resample, move or differentiate."""
+    moved = any(shift != 0.0 and name in table for name, shift in layout.shift.items())
+    derived = all(name in table for name in POSE) and not all(name in table for name in VELOCITY)
+    framed = any((layout.frame.forward, layout.frame.left, layout.frame.yaw))
+    return not (layout.resample or moved or derived or framed or table["t"].max() > EPOCH)
+
+
+def _cut_table(name: str, table: pd.DataFrame, layout: Layout) -> tuple[list[Piece], tuple[str, ...]]:
+    """Cut a table at run changes, pauses, missing values and jumps back in time."""
+    channels = [column for column in table if column in CHANNELS]
+    complete = np.isfinite(table[["t", *channels]].to_numpy()).all(axis=1)
+    if "run" in table:
+        complete &= table["run"].notna().to_numpy()
+    if complete.mean() < 0.5:
+        raise LogError(
+            f"{name}: {1 - complete.mean():.0%} of the rows miss a value; at most half may; "
+            "leave the broken channel out of the mapping"
+        )
+    remarks = [] if complete.all() else [f"{(~complete).sum()} rows with a missing value left out; runs split there"]
+    rows = table[complete]
+    sample_time(name, rows)
+    t = rows["t"].to_numpy()
+    steps = np.diff(t)
+    missing = np.diff(np.flatnonzero(complete)) > 1
+    cut = (steps > layout.gap) | (steps <= 0) | missing
+    if "run" in rows:
+        code, _ = pd.factorize(rows["run"])
+        change = np.diff(code) != 0
+        entered = code[np.flatnonzero(np.concatenate([[True], change]))]
+        if len(np.unique(entered)) < len(entered):
+            raise LogError(f"{name}: the rows of its runs are mixed up; sort the file by run, then by t")
+        cut |= change
+    if cut.mean() > 0.2:
+        raise LogError(f"{name}: {cut.mean():.0%} of its steps jump in time; raise data.gap = {layout.gap:g} s?")
+    values = {channel: rows[channel].to_numpy() for channel in channels}
+    runs = rows["run"].to_numpy() if "run" in rows else None
+    pieces = []
+    for start, stop in _spans(cut):
+        streams = {c: Stream(t[start:stop] + layout.shift.get(c, 0.0), v[start:stop]) for c, v in values.items()}
+        held = {c: stream._replace(hold=_held(layout, c)) for c, stream in streams.items()}
+        pieces.append(Piece(None if runs is None else runs[start], t[start:stop], held))
+    return pieces, tuple(remarks)
+
+
+def _held(layout: Layout, channel: str) -> bool:
+    sources = layout.channels.get(channel)
+    return sources[0].hold if sources else channel.endswith("_ref")
+
+
+def _cut_streams(name: str, streams: Mapping[str, Stream], layout: Layout) -> list[Piece]:
+    """Cut a bag at the pauses of its clock: the pose's stamps, or those of the first channel it has."""
+    base = next((streams[channel].t for channel in POSE if channel in streams), None)
+    base = next(iter(streams.values())).t if base is None else base
+    if len(base) < 2:
+        raise LogError(f"{name}: holds {len(base)} samples of its clock; at least two are needed")
+    moved = {c: stream._replace(t=stream.t + layout.shift.get(c, 0.0)) for c, stream in streams.items()}
+    return [Piece(None, base[start:stop], moved) for start, stop in _spans(np.diff(base) > layout.gap)]
+
+
+def _spans(cut: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
+    """Yield (first, last + 1) of each stretch between cuts; `cut[i]` lies between rows i and i + 1."""
+    edges = [0, *(np.flatnonzero(cut) + 1).tolist(), len(cut) + 1]
+    yield from itertools.pairwise(edges)
+
+
+def _assemble(name: str, pieces: list[Piece], layout: Layout, rate: float | None, remarks: tuple[str, ...] = ()) -> Log:
+    """Sample the pieces, differentiate, move to the centre of gravity and check."""
+    channels = list(pieces[0].streams)
+    derive = all(channel in channels for channel in POSE) and not all(channel in channels for channel in VELOCITY)
+    shortest = layout.savgol.window if derive else 2
+    origin = min(float(piece.t[0]) for piece in pieces)
+    said = list(remarks)
+    if origin > EPOCH:
+        said.append(f"t counts from {origin:.3f} s")
+        pieces = [_since(origin, piece) for piece in pieces]
+    pieces, leaps = _without_leaps(name, pieces, layout.gap)
+    said += leaps
+    expected = sum((piece.t[-1] - piece.t[0]) * rate + 1 for piece in pieces) if rate else 0
+    if expected > MAX_ROWS:
+        raise LogError(f"{name}: {expected:.3g} rows at data.resample = {rate:g} Hz; at most {MAX_ROWS} are made")
+    dt = 1.0 / rate if rate else _median_step(pieces)
+    tables, short = [], 0
+    for number, piece in enumerate(pieces):
+        t = _grid(piece.t, rate) if rate else piece.t
+        if len(t) < shortest:
+            short += len(piece.t)
+            continue
+        rows = {channel: _sample(stream, t, channel, layout.gap) for channel, stream in piece.streams.items()}
+        if derive:
+            v = velocities(rows["x"], rows["y"], rows["yaw"], dt, layout.savgol.window, layout.savgol.order)
+            rows.update({channel: value for channel, value in zip(VELOCITY, v, strict=True) if channel not in channels})
+        tables.append(pd.DataFrame({"t": t, "run": number, **_to_centre(rows, layout)}))
+    if not tables:
+        raise LogError(f"{name}: no run has {shortest} samples; lower data.savgol.window or raise data.gap")
+    if short:
+        said.append(f"{short} rows left out: runs shorter than {shortest} samples")
+    if derive:
+        said.append(f"velocities differentiated from poses, Savitzky–Golay window {layout.savgol.window}")
+    ids = [pieces[int(table["run"].iloc[0])].run for table in tables]
+    if all(isinstance(i, int | np.integer) for i in ids) and len(set(ids)) == len(ids):
+        tables = [table.assign(run=i) for table, i in zip(tables, ids, strict=True)]
+    return Log.from_table(name, pd.concat(tables, ignore_index=True), tuple(said))
+
+
+def _since(origin: float, piece: Piece) -> Piece:
+    streams = {channel: stream._replace(t=stream.t - origin) for channel, stream in piece.streams.items()}
+    return replace(piece, t=piece.t - origin, streams=streams)
+
+
+def _median_step(pieces: list[Piece]) -> float:
+    steps = np.concatenate([np.diff(piece.t) for piece in pieces])
+    return float(np.median(steps)) if len(steps) else 1.0  # s
+
+
+def _grid(t: Array, rate: float) -> Array:
+    count = int(np.floor((t[-1] - t[0]) * rate + 1e-6)) + 1
+    return np.asarray(t[0] + np.arange(count) / rate)
+
+
+def _sample(stream: Stream, t: Array, channel: str, gap: float) -> Array:
+    """Return a channel at the times t; NaN where it has no sample near enough."""
+    if len(stream.t) == 0:
+        return np.full(len(t), np.nan)
+    if len(stream.t) == len(t) and np.array_equal(stream.t, t):
+        return np.unwrap(stream.value) if channel == "yaw" else stream.value
+    before = np.searchsorted(stream.t, t + 1e-9, side="right") - 1
+    if stream.hold:
+        return np.where((before >= 0) & (t <= stream.t[-1] + gap), stream.value[np.maximum(before, 0)], np.nan)
+    value = np.unwrap(stream.value) if channel == "yaw" else stream.value
+    line = np.interp(t, stream.t, value, left=np.nan, right=np.nan)
+    after = np.minimum(before + 1, len(stream.t) - 1)
+    wide = stream.t[after] - stream.t[np.maximum(before, 0)] > max(gap, 1e-6)
+    return np.where(wide & (np.abs(stream.t[np.maximum(before, 0)] - t) > 1e-6), np.nan, line)
+
+
+def _without_leaps(name: str, pieces: list[Piece], gap: float) -> tuple[list[Piece], tuple[str, ...]]:
+    """Cut the pieces where the position jumps as no car does; raise LogError when that is more than an exception."""
+    if not all(channel in pieces[0].streams for channel in ("x", "y")):
+        return pieces, ()
+    whole, leaps = [], 0
+    for piece in pieces:
+        x, y = (_sample(piece.streams[channel], piece.t, channel, gap) for channel in ("x", "y"))
+        # the slack lets positions be measured by a millimetre at any rate
+        leap = np.hypot(np.diff(x), np.diff(y)) > LEAP * np.diff(piece.t) + 1e-3
+        leaps += int(leap.sum())
+        whole += [replace(piece, t=piece.t[start:stop]) for start, stop in _spans(leap)]
+    if leaps > max(10, 0.01 * sum(len(piece.t) for piece in pieces)):
+        raise LogError(
+            f"{name}: the position jumps by more than {LEAP:g} m/s at {leaps} rows; is its unit another one, "
+            "or the file damaged?"
+        )
+    return whole, (f"the position jumps at {leaps} rows; runs are split there",) if leaps else ()
+
+
+def _to_centre(rows: dict[str, Array], layout: Layout) -> dict[str, Array]:
+    """Move poses and velocities from the tracked point to the centre of gravity, heading first.
+
+    With the tracked point at (a, b) in the car's frame: p_cog = p − R(ψ)(a, b), v_cog = v − r × (a, b).
+    """
+    a, b, turn = layout.frame.forward, layout.frame.left, layout.frame.yaw
+    if not any((a, b, turn)):
+        return rows
+    moved = dict(rows)
+    if all(channel in rows for channel in POSE):
+        yaw = rows["yaw"] + turn
+        moved["yaw"] = yaw
+        moved["x"] = rows["x"] - (a * np.cos(yaw) - b * np.sin(yaw))
+        moved["y"] = rows["y"] - (a * np.sin(yaw) + b * np.cos(yaw))
+    if all(channel in rows for channel in VELOCITY):
+        v_x, v_y, r = rows["v_x"], rows["v_y"], rows["yaw_rate"]
+        # the measured axes are turned by −turn against the car's
+        v_x, v_y = v_x * np.cos(turn) + v_y * np.sin(turn), -v_x * np.sin(turn) + v_y * np.cos(turn)
+        moved["v_x"], moved["v_y"] = v_x + b * r, v_y - a * r
+    return moved

@@ -1,0 +1,45 @@
+"""The data stage: reads logs, says what they hold, and keeps what the pictures are drawn from.
+
+`data.json`          one inspection per log, and what concerns several
+`log_0.parquet` …    the logs as they came out of the mapping, in the order given
+"""
+
+import io
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from racerl.data.inspect import compare, inspect
+from racerl.data.layout import read_layout
+from racerl.data.load import load_logs
+from racerl.documents import write_bytes, write_json
+from racerl.errors import LogError
+from racerl.run import RunFolder
+
+FACTS = "data.json"
+
+
+def survey(settings: Mapping[str, Any], out: Path) -> dict[str, Any]:
+    """Inspect `settings["logs"]` through `settings["data"]`, write the results into `out` and return them."""
+    given = settings["logs"]
+    paths = [Path(str(path)) for path in ([given] if isinstance(given, str) else given or [])]
+    if not paths:
+        raise LogError("logs: none given; write racerl data LOG [LOG …]")
+    layout = read_layout(settings["data"])
+    logs = load_logs(paths, settings["data"])
+    inspections = [inspect(log, layout.vehicle.wheelbase) for log in logs]
+    shared = compare(logs)
+    facts = {"logs": inspections, "warnings": shared}
+    folder = RunFolder.start(out, "data", settings)
+    for number, log in enumerate(logs):
+        stream = io.BytesIO()
+        log.table.to_parquet(stream, index=False)
+        write_bytes(folder.path / table_name(number), stream.getvalue())
+    write_json(folder.path / FACTS, facts)
+    folder.finish(logs=len(logs), warnings=sum(len(log["warnings"]) for log in inspections) + len(shared))
+    return facts
+
+
+def table_name(number: int) -> str:
+    """Return the file of the number-th log in the run folder."""
+    return f"log_{number}.parquet"

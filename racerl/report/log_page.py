@@ -1,0 +1,57 @@
+"""The page about logs: what a data run found, with pictures; drawn from the files of its run folder alone."""
+
+import base64
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import pandas as pd
+import pyarrow as pa
+
+from racerl.data.survey import FACTS, table_name
+from racerl.documents import read_json, write_text
+from racerl.errors import DocumentError, RunError
+from racerl.report.figures import coverage, log_channels, log_states
+from racerl.run import RunFolder
+
+PAGE = "report.html"
+
+
+def draw_logs(run: Path) -> Path:
+    """Write the figures and the page of a finished data run into its folder; return the page's path."""
+    folder = RunFolder.open_complete(run, "data")
+    try:
+        facts = read_json(folder.path / FACTS)
+        tables = [pd.read_parquet(folder.path / table_name(number)) for number in range(len(facts["logs"]))]
+        logs = [
+            _section(folder.path, number, *pair) for number, pair in enumerate(zip(tables, facts["logs"], strict=True))
+        ]
+    except (DocumentError, OSError, ValueError, KeyError, TypeError, pa.ArrowException) as error:
+        raise RunError(f"{run}: is damaged ({' '.join(str(error).split())}); inspect the logs again") from error
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("racerl.report", "."), autoescape=True, trim_blocks=True
+    )
+    page = environment.get_template("log_page.html.j2").render(
+        logs=logs, warnings=facts["warnings"], git_sha=(folder.manifest.get("git_sha") or "–")[:18]
+    )
+    write_text(folder.path / PAGE, page)
+    return folder.path / PAGE
+
+
+def _section(folder: Path, number: int, table: pd.DataFrame, facts: dict[str, Any]) -> dict[str, Any]:
+    drawn = (
+        ("channels", "Channels", "Thin black lines part the runs.", log_channels.draw(table, facts)),
+        (
+            "coverage",
+            "Coverage",
+            "Time spent at each value while the car moves (0.5 … 99.5 %); the line is the median.",
+            coverage.draw(facts),
+        ),
+        ("states", "Where it drives", "One dot per sample while the car moves.", log_states.draw(table, facts)),
+    )
+    figures = []
+    for name, title, caption, svg in drawn:
+        if svg is not None:
+            write_text(folder / f"log_{number}_{name}.svg", svg)
+            figures.append({"title": title, "caption": caption, "data": base64.b64encode(svg.encode()).decode()})
+    return {**facts, "figures": figures}
