@@ -120,6 +120,16 @@ def data(arguments: Logs = None) -> None:
     _run("data", arguments, _data, positional="logs")
 
 
+@app.command(context_settings=HYDRA)
+def identify(arguments: Logs = None) -> None:
+    """Find a car's parameters in driving logs: racerl identify drive.csv.gz out=outputs/identify/first
+
+    Groups: data vehicle method. Writes model.yaml, which every command takes as vehicle=, identification.json and
+    report.html. fit=false only scores the vehicle.
+    """
+    _run("identify", arguments, _identify, positional="logs")
+
+
 def _run(
     command: str,
     arguments: list[str] | None,
@@ -198,6 +208,45 @@ def _record(settings: "Settings", out: Path) -> None:
         highlight=False,
         soft_wrap=True,
     )
+
+
+def _identify(settings: "Settings", out: Path) -> None:
+    from racerl.console import Bar
+    from racerl.identify.identify import MODEL, identify
+    from racerl.report.identification_page import draw_identification
+
+    console = _console()
+    with Bar(console, "identify") as bar:
+        facts = identify(settings, out, lambda what, share: bar.show(share, what))
+    _print_identification(console, facts)
+    page = draw_identification(out)
+    lines = [f"warning: {warning}" for warning in facts["warnings"]]
+    if facts["fitted"]:
+        lines.append(f"vehicle in {out / MODEL}; drive it with: racerl train vehicle={out / MODEL}")
+    for line in [*lines, f"report in {page}"]:
+        console.print(line, highlight=False, soft_wrap=True, markup=False)
+
+
+def _print_identification(console: Any, facts: dict[str, Any]) -> None:
+    from rich.table import Table
+
+    from racerl.report.identification_page import error_rows, spread
+
+    rows = [row for row in error_rows(facts) if row[1] == str(facts["horizon"])]
+    table = Table("vehicle", *rows[0][2], title=f"error of {facts['horizon']}-sample rollouts (RMSE; m/s, rad/s, rad)")
+    for label, _, channels in rows:
+        table.add_row(label, *(f"{value:.4f}" for value in channels.values()))
+    console.print(table)
+    if not facts["fitted"]:
+        return
+    table = Table("parameter", "value", "95 % interval", "unit", "before", "from the data alone")
+    for name, p in facts["parameters"].items():
+        interval = f"{p['ci95'][0]:.4g} … {p['ci95'][1]:.4g}"
+        table.add_row(name, f"{p['value']:.4g}", interval, p["unit"], f"{p['start']:.4g}", spread(p))
+    console.print(table)
+    pairs = [" and ".join(pair["parameters"]) for pair in facts["not_separable"]]
+    if pairs:
+        console.print(f"not separable (correlation above 0.95): {'; '.join(pairs)}", highlight=False, markup=False)
 
 
 def _print_metrics(console: Any, metrics: dict[str, Any]) -> None:

@@ -56,6 +56,15 @@ def load_logs(paths: Sequence[Path], mapping: Mapping[str, Any]) -> list[Log]:
     return [load_log(Path(path), layout) for path in paths]
 
 
+def load_given(settings: Mapping[str, Any]) -> list[Log]:
+    """Return the logs that `settings["logs"]` names, read through `settings["data"]`."""
+    given = settings["logs"]
+    paths = [Path(str(path)) for path in ([given] if isinstance(given, str) else given or [])]
+    if not paths:
+        raise LogError("logs: none given; write the files of one layout, for instance drive.csv.gz")
+    return load_logs(paths, settings["data"])
+
+
 def load_log(path: Path, layout: Layout) -> Log:
     """Read one file through a layout."""
     if not path.exists():

@@ -4,8 +4,8 @@ Columns: `t` in s, `run` (id of one unbroken stretch), and any of `CHANNELS`. Ax
 the centre of gravity in the world, velocities in the body frame, x forward, y left, angles counter-clockwise.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -150,3 +150,25 @@ def _runs(name: str, table: pd.DataFrame, complete: NDArray[np.bool_], dt: float
     if fresh.mean() > 0.2:
         raise LogError(f"{name}: {fresh.mean():.0%} of its steps jump in time; resample it to a uniform rate")
     return np.concatenate([[0], np.cumsum(fresh)]).astype(np.int64)
+
+
+def separate(logs: Sequence[Log]) -> tuple[list[Log], list[str]]:
+    """Return the logs without runs that were there before, and a line for each that was left out.
+
+    A run that stands twice would count twice, and could be fitted in one place and held out in another.
+    """
+    seen: set[bytes] = set()
+    kept, lines = [], []
+    for log in logs:
+        doubled = []
+        for run, rows in log.table.groupby("run", sort=False):
+            content = rows[log.channels].round(6).to_numpy().tobytes()
+            if content in seen:
+                doubled.append(run)
+            seen.add(content)
+        if doubled:
+            lines.append(f"{log.name}: {len(doubled)} runs are copies of others and were left out")
+            log = replace(log, table=log.table[~log.table["run"].isin(doubled)])
+        if len(log.table):
+            kept.append(log)
+    return kept, lines

@@ -11,9 +11,8 @@ from typing import Any
 
 from racerl.data.inspect import compare, inspect
 from racerl.data.layout import read_layout
-from racerl.data.load import load_logs
+from racerl.data.load import load_given
 from racerl.documents import write_bytes, write_json
-from racerl.errors import LogError
 from racerl.run import RunFolder
 
 FACTS = "data.json"
@@ -21,12 +20,8 @@ FACTS = "data.json"
 
 def survey(settings: Mapping[str, Any], out: Path) -> dict[str, Any]:
     """Inspect `settings["logs"]` through `settings["data"]`, write the results into `out` and return them."""
-    given = settings["logs"]
-    paths = [Path(str(path)) for path in ([given] if isinstance(given, str) else given or [])]
-    if not paths:
-        raise LogError("logs: none given; write racerl data LOG [LOG …]")
     layout = read_layout(settings["data"])
-    logs = load_logs(paths, settings["data"])
+    logs = load_given(settings)
     inspections = [inspect(log, layout.vehicle.wheelbase) for log in logs]
     shared = compare(logs)
     facts = {"logs": inspections, "warnings": shared}

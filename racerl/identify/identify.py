@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from racerl import registry
 from racerl.assemble import use_threads
-from racerl.data.log import Log
+from racerl.data.load import load_given
+from racerl.data.log import Log, separate
 from racerl.documents import write_bytes, write_json
 from racerl.errors import ConfigError, LogError
 from racerl.identify import methods as methods_package
@@ -83,15 +84,16 @@ Progress = Callable[[str, float], None]
 
 
 def identify(
-    settings: Mapping[str, Any], logs: Sequence[Log], out: Path, on_progress: Progress = lambda what, share: None
+    settings: Mapping[str, Any], out: Path, on_progress: Progress = lambda what, share: None
 ) -> dict[str, Any]:
-    """Identify the vehicle of `settings` from logs; return what was written to identification.json.
+    """Identify the vehicle of `settings` from its logs; return what was written to identification.json.
 
     Raises LogError for logs that can't be fitted and ConfigError for settings out of range.
     """
     _check(settings)
     use_threads(settings["threads"])
     began = time.perf_counter()
+    logs, warnings = separate(load_given(settings))
     layout = choose_layout(logs, settings["inputs"])
     configured = load_vehicle(settings["vehicle"])
     vehicle = layout.driven(configured)
@@ -106,6 +108,7 @@ def identify(
         "fitted": task is not None,
         "logs": [_log_facts(log) for log in logs],
         "inputs": {"steering": layout.steering, "drive": layout.drive},
+        "warnings": warnings,
         "horizon": settings["window"],
         "rmse": scored.errors(start, everything).rmse(),
         "rmse_hold_last_state": scored.held(everything),
@@ -122,6 +125,7 @@ def identify(
         facts["rmse_unfitted"] = facts["rmse"]
         facts |= _hold_out(task, scored, settings, lambda share: on_progress("held-out runs", share))
         facts |= _result(task, solution, uncertainty)
+        facts["warnings"] = [*warnings, *_fit_warnings(facts)]
         write_model(folder.path / MODEL, settings["vehicle"], dict(zip(rollout.names, theta, strict=True)), facts)
     facts["residuals"] = {"unfitted": scored.histogram(start), "fitted": scored.histogram(theta)}
     write_bytes(folder.path / OVERLAY, _parquet(scored.overlay(start, theta)))
@@ -223,6 +227,24 @@ def _result(task: Task, solution: Solution, uncertainty: Uncertainty) -> dict[st
             "scale": dict(zip(task.rollout.observed, task.scale.tolist(), strict=True)),
         },
     }
+
+
+def _fit_warnings(facts: Mapping[str, Any]) -> list[str]:
+    """Return what a user should know before trusting the values."""
+    warnings = []
+    for name in facts["far_from_prior"]:
+        p = facts["parameters"][name]
+        warnings.append(
+            f"{name} went from {p['start']:.4g} to {p['value']:.4g} {p['unit']}, {abs(p['from_prior']):.0f} deviations of "
+            "its prior: it may stand in for an effect that the model lacks"
+        )
+    if facts["at_bound"]:
+        warnings.append(f"at a physical bound: {', '.join(facts['at_bound'])}")
+    if not any(p["identified"] for p in facts["parameters"].values()):
+        warnings.append("no parameter is known to 5 % from the data alone: the log excites the car too little")
+    if not facts["method"]["converged"]:
+        warnings.append("the fit has not converged; allow more method.iterations")
+    return warnings
 
 
 def _hold_out(

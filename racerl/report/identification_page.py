@@ -1,0 +1,107 @@
+"""The page about an identification: errors, values and pictures; drawn from the files of its run folder alone."""
+
+import base64
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import pandas as pd
+import pyarrow as pa
+
+from racerl.documents import read_json, write_text
+from racerl.errors import DocumentError, RunError
+from racerl.identify.identify import OVERLAY, RESULT, TYRES
+from racerl.report.figures import overlay, residuals, tyre_curves
+from racerl.run import RunFolder
+
+PAGE = "report.html"
+PROVENANCE = ("git_sha", "cpu", "threads", "seconds", "seed")
+ERRORS = (
+    ("rmse", "identified, in runs held out", "given vehicle"),
+    ("rmse_unfitted", "before", ""),
+    ("rmse_hold_last_state", "first state held", "first state held"),
+)
+
+
+def draw_identification(run: Path) -> Path:
+    """Write the figures and the page of a finished identification into its folder; return the page's path."""
+    folder = RunFolder.open_complete(run, "identify")
+    try:
+        facts = read_json(folder.path / RESULT)
+        curves, windows = pd.read_parquet(folder.path / TYRES), pd.read_parquet(folder.path / OVERLAY)
+        figures = [_figure(folder.path, *item) for item in _drawn(facts, curves, windows)]
+        page = (
+            _environment()
+            .get_template("identification_page.html.j2")
+            .render(
+                facts=facts,
+                errors=error_rows(facts),
+                spread=spread,
+                figures=figures,
+                provenance={
+                    key: folder.manifest.get(key) or "–" for key in ("git_sha", "cpu", "threads", "seconds", "seed")
+                },
+            )
+        )
+    except (DocumentError, OSError, ValueError, KeyError, TypeError, pa.ArrowException, jinja2.UndefinedError) as error:
+        raise RunError(f"{run}: is damaged ({' '.join(str(error).split())}); identify again") from error
+    write_text(folder.path / PAGE, page)
+    return folder.path / PAGE
+
+
+def error_rows(facts: dict[str, Any]) -> list[tuple[str, str, dict[str, float]]]:
+    """Return (vehicle, horizon, RMSE by channel) for what was scored."""
+    rows = []
+    for key, fitted, scored in ERRORS:
+        if facts.get(key):
+            label = fitted if facts["fitted"] else scored
+            rows += [(label, horizon, channels) for horizon, channels in facts[key].items()]
+    return rows
+
+
+def spread(parameter: Mapping[str, Any]) -> str:
+    """Return how far the data alone, without the prior, determine a value."""
+    if parameter["at_bound"]:
+        return "at its bound"
+    share = parameter["data_half_width"] / max(abs(parameter["value"]), 1e-12)
+    return f"± {share:.1%}" if share < 0.01 else f"± {share:.0%}" if share < 1.0 else "nothing"
+
+
+def _drawn(facts: dict[str, Any], curves: pd.DataFrame, windows: pd.DataFrame) -> list[tuple[str, str, str, str]]:
+    fitted = facts["fitted"]
+    return [
+        (
+            "overlay",
+            "Measured and simulated",
+            f"Rollouts of {facts['horizon']} samples in the run of median error; each starts from the measured state at "
+            "a dotted line.",
+            overlay.draw(windows, fitted),
+        ),
+        (
+            "tyre_curves",
+            "Tyres",
+            "Force over load at the static load, pure slip. Grey: the slips that the log reached.",
+            tyre_curves.draw(curves, facts["slips_covered"], fitted),
+        ),
+        (
+            "residuals",
+            "Errors at the end of the rollouts",
+            f"Simulated minus measured after {facts['horizon']} samples, all rollouts.",
+            residuals.draw(facts["residuals"], fitted),
+        ),
+    ]
+
+
+def _figure(folder: Path, name: str, title: str, caption: str, svg: str) -> dict[str, str]:
+    write_text(folder / f"{name}.svg", svg)
+    return {"title": title, "caption": caption, "data": base64.b64encode(svg.encode()).decode()}
+
+
+def _environment() -> jinja2.Environment:
+    return jinja2.Environment(
+        loader=jinja2.PackageLoader("racerl.report", "."),
+        autoescape=True,
+        trim_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
