@@ -235,8 +235,8 @@ def _fit_warnings(facts: Mapping[str, Any]) -> list[str]:
     for name in facts["far_from_prior"]:
         p = facts["parameters"][name]
         warnings.append(
-            f"{name} went from {p['start']:.4g} to {p['value']:.4g} {p['unit']}, {abs(p['from_prior']):.0f} deviations of "
-            "its prior: it may stand in for an effect that the model lacks"
+            f"{name} went from {p['start']:.4g} to {p['value']:.4g} {p['unit']}, {abs(p['from_prior']):.0f} deviations "
+            "of its prior: it may stand in for an effect that the model lacks"
         )
     if facts["at_bound"]:
         warnings.append(f"at a physical bound: {', '.join(facts['at_bound'])}")

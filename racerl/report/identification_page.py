@@ -61,7 +61,7 @@ def error_rows(facts: dict[str, Any]) -> list[tuple[str, str, dict[str, float]]]
 
 
 def spread(parameter: Mapping[str, Any]) -> str:
-    """Return how far the data alone, without the prior, determine a value."""
+    """Return how far the data alone determine a value."""
     if parameter["at_bound"]:
         return "at its bound"
     share = parameter["data_half_width"] / max(abs(parameter["value"]), 1e-12)
@@ -74,7 +74,7 @@ def _drawn(facts: dict[str, Any], curves: pd.DataFrame, windows: pd.DataFrame) -
         (
             "overlay",
             "Measured and simulated",
-            f"Rollouts of {facts['horizon']} samples in the run of median error; each starts from the measured state at "
+            f"Rollouts of {facts['horizon']} samples in the run of median error. Each starts from the measured state, at "
             "a dotted line.",
             overlay.draw(windows, fitted),
         ),

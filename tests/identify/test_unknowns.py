@@ -1,0 +1,55 @@
+"""Priors: which parameters are free, how firmly they are known, and what is refused."""
+
+import numpy as np
+import pytest
+
+from racerl.errors import ConfigError
+from racerl.identify.unknowns import choose_unknowns
+from racerl.vehicle.rollout import drive_by
+from tests.vehicle.conftest import make_car
+
+CAR = make_car()
+
+
+def choose(priors, hold=(), car=CAR):
+    return choose_unknowns(car, priors, hold, CAR)
+
+
+def test_shares_absolutes_and_null():
+    unknowns = choose({"mass": None, "l_f": 0.1, "*.p_E[xy]1": {"absolute": 2.0}, "front.p_Ex1": 0.5, "yaw_inertia": 0})
+    expected = {"l_f": 0.1 * CAR.l_f, "front.p_Ex1": 0.5 * abs(CAR.front.p_Ex1), "front.p_Ey1": 2.0}
+    assert {name: unknowns.sigma[unknowns.names.index(name)] for name in expected} == pytest.approx(expected)
+    assert "mass" not in unknowns.names and "yaw_inertia" not in unknowns.names
+
+
+def test_hold_takes_back():
+    names = choose({"l_f": 0.1, "*.p_K[xy]1": 0.3}, ["front.*"]).names
+    assert set(names) == {"l_f", "rear.p_Kx1", "rear.p_Ky1"}
+
+
+def test_actuators_that_are_inputs_have_no_parameters():
+    driven = drive_by(CAR, measured_steering=True, measured_speed=False)
+    assert choose({"*.time_constant": 0.5}, car=driven).names == ("drive.time_constant",)
+
+
+def test_draws_respect_the_bounds():
+    unknowns = choose({"front.r_Ex1": {"absolute": 100.0}})
+    draws = np.array([unknowns.draw(np.random.default_rng(seed), 1.0)[0] for seed in range(50)])
+    assert draws.min() >= -20.0 and draws.max() <= 1.0 and draws.std() > 1.0
+
+
+@pytest.mark.parametrize(
+    "priors, hold, said",
+    [
+        ({"yaw_inertai": 0.2}, [], "did you mean yaw_inertia"),
+        ({"l_f": 0.1}, ["frnt.*"], "no parameter of the vehicle fits 'frnt"),
+        ({"l_f": "much"}, [], "priors.l_f = much"),
+        ({"l_f": -0.1}, [], "priors.l_f"),
+        ({"l_f": {"absolut": 1}}, [], "absolute"),
+        ({"l_f": None}, [], "every parameter is held"),
+    ],
+)
+def test_mistakes(priors, hold, said):
+    with pytest.raises(ConfigError, match=said) as error:
+        choose(priors, hold)
+    assert "\n" not in str(error.value)

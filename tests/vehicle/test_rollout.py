@@ -1,0 +1,123 @@
+"""Rollouts and their sensitivities: compiled against torch, against finite differences, for cars of every kind."""
+
+import dataclasses
+import shutil
+
+import numpy as np
+import pytest
+import torch
+
+from racerl.vehicle import rollout as rollout_module
+from racerl.vehicle.parameter import replace_values, values
+from racerl.vehicle.rollout import Rollout, Windows, drive_by, roll_out
+from tests.vehicle.conftest import random_states
+
+needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler on this machine")
+OBSERVED = ("v_x", "v_y", "yaw_rate")
+NAMES = ("yaw_inertia", "l_f", "front.p_Ky1", "rear.p_Dy1", "rear.r_Bx1")
+
+
+def windows_for(car, observed=OBSERVED, count=11, length=12, dt=0.01, seed=0):
+    state, command = random_states(car, count, seed)
+    state[3], state[7] = 2.0 + state[3].abs() / 3, 2.0 + state[3].abs() / 3
+    command = 0.3 * command
+    command[1] += 2.0
+    generator = np.random.default_rng(seed)
+    inputs = command.numpy()[None] + 0.2 * generator.standard_normal((length, 2, count))
+    measured = generator.standard_normal((length + 1, len(observed), count))
+    weight = generator.uniform(0.5, 2.0, (len(observed), count))
+    return Windows(state.numpy(), inputs, measured, weight, dt)
+
+
+def without_compiler(car, names, observed, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr(rollout_module, "build", lambda code: None)
+        slow = Rollout(car, names, observed)
+    assert not slow.compiled
+    return slow
+
+
+@needs_compiler
+def test_compiled_rollouts_are_torchs(any_car):
+    names = [name for name in NAMES if name in values(any_car)]
+    windows = windows_for(any_car, length=20, dt=0.001 if hasattr(any_car.drive, "current_limit") else 0.01)
+    compiled = Rollout(any_car, names, OBSERVED)
+    theta = compiled.nominal() * 1.1
+    car = replace_values(any_car, dict(zip(names, theta, strict=True)))
+    expected = roll_out(car, torch.as_tensor(windows.initial), torch.as_tensor(windows.inputs), 1, windows.dt).numpy()
+    got = compiled.simulate(theta, windows)
+    assert np.abs((got - expected) / (1 + np.abs(expected))).max() < 1e-10
+
+
+@needs_compiler
+def test_normal_equations_are_the_residuals_derivatives(any_car):
+    """H = JᵀJ and g = Jᵀe with the Jacobian by central differences of the simulated residuals."""
+    names = [name for name in NAMES if name in values(any_car)]
+    windows = windows_for(any_car, count=3, dt=0.001 if hasattr(any_car.drive, "current_limit") else 0.01)
+    rollout = Rollout(any_car, names, OBSERVED)
+    theta = rollout.nominal()
+    states = any_car.states
+    observed = [states.index(name) for name in OBSERVED]
+
+    def residual(theta, initial):
+        moved = dataclasses.replace(windows, initial=initial)
+        return windows.weight * (rollout.simulate(theta, moved)[:, observed] - windows.measured)
+
+    columns = []
+    for i in range(rollout.size):
+        up, down = (theta.copy(), windows.initial.copy()), (theta.copy(), windows.initial.copy())
+        if i < len(names):
+            h = 1e-6 * max(abs(theta[i]), 0.1)
+            up[0][i] += h
+            down[0][i] -= h
+        else:
+            h, row = 1e-6, states.index(rollout.active[i - len(names)])
+            up[1][row] += h
+            down[1][row] -= h
+        columns.append((residual(*up) - residual(*down)) / (2 * h))
+    J, e = np.stack(columns), residual(theta, windows.initial)
+    got = rollout.accumulate(theta, windows)
+    H, g = np.einsum("itcw,jtcw->wij", J, J), np.einsum("itcw,tcw->wi", J, e)
+    scale = np.sqrt(np.einsum("wii->wi", H)) + 1e-6
+    assert np.abs((got.H - H) / (scale[:, :, None] * scale[:, None, :])).max() < 1e-5
+    assert np.abs((got.g - g) / scale).max() < 1e-5 * np.sqrt((e**2).sum())
+    assert np.allclose(got.squares, (e**2).sum(axis=0).T, rtol=1e-12)
+
+
+@needs_compiler
+def test_without_a_compiler_torch_gives_the_same(car, monkeypatch):
+    windows = windows_for(car, count=4, length=6)
+    compiled, slow = Rollout(car, NAMES, OBSERVED), without_compiler(car, NAMES, OBSERVED, monkeypatch)
+    theta = compiled.nominal()
+    assert np.allclose(slow.simulate(theta, windows), compiled.simulate(theta, windows), rtol=1e-10, atol=1e-12)
+    expected, got = compiled.accumulate(theta, windows), slow.accumulate(theta, windows)
+    for part in ("H", "g", "squares"):
+        exact = getattr(expected, part)
+        assert np.abs(getattr(got, part) - exact).max() < 1e-10 * np.abs(exact).max()
+
+
+@needs_compiler
+def test_threads_and_neighbours_change_nothing(car):
+    windows = windows_for(car, count=200)
+    rollout = Rollout(car, NAMES, OBSERVED)
+    theta = rollout.nominal()
+    one, two = rollout.accumulate(theta, windows, 1), rollout.accumulate(theta, windows, 2)
+    alone = rollout.accumulate(theta, windows.take(np.array([77])))
+    assert np.array_equal(one.H, two.H) and np.array_equal(one.g, two.g)
+    assert np.allclose(one.H[77], alone.H[0], rtol=1e-12)
+
+
+def test_only_states_that_matter_are_active(car):
+    assert Rollout(car, [], OBSERVED).active == ["v_x", "v_y", "yaw_rate", "delta", "omega"]
+    driven = drive_by(car, measured_steering=True, measured_speed=False)
+    assert Rollout(driven, [], OBSERVED).active == ["v_x", "v_y", "yaw_rate", "omega"]
+    assert Rollout(car, [], ("delta",)).active == ["delta"]
+    assert Rollout(car, [], ("x", "y")).active == ["x", "y", "yaw", "v_x", "v_y", "yaw_rate", "delta", "omega"]
+
+
+def test_long_samples_are_integrated_in_several_steps(car):
+    coarse, fine = windows_for(car, length=4, dt=0.05), windows_for(car, length=20, dt=0.01)
+    fine = dataclasses.replace(fine, inputs=np.repeat(coarse.inputs, 5, axis=0), initial=coarse.initial)
+    rollout = Rollout(car, [], OBSERVED)
+    theta = rollout.nominal()
+    assert np.allclose(rollout.simulate(theta, coarse)[1:], rollout.simulate(theta, fine)[5::5], rtol=1e-9, atol=1e-12)
