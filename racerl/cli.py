@@ -235,7 +235,7 @@ def _print_identification(console: Any, facts: dict[str, Any]) -> None:
     rows = [row for row in error_rows(facts) if row[1] == str(facts["horizon"])]
     table = Table("vehicle", *rows[0][2], title=f"error of {facts['horizon']}-sample rollouts (RMSE; m/s, rad/s, rad)")
     for label, _, channels in rows:
-        table.add_row(label, *(f"{value:.4f}" for value in channels.values()))
+        table.add_row(label, *("diverged" if value is None else f"{value:.4f}" for value in channels.values()))
     console.print(table)
     if not facts["fitted"]:
         return

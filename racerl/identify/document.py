@@ -32,9 +32,11 @@ def write_model(
 def _provenance(facts: Mapping[str, Any]) -> list[str]:
     logs = ", ".join(f"{log['name']} ({log['seconds']:.0f} s, {log['runs']} runs)" for log in facts["logs"])
     lines = [f"Identified by racerl identify from {logs}."]
-    if "rmse" in facts:
+    if facts.get("rmse"):
         last = facts["rmse"][str(facts["horizon"])]
-        errors = ", ".join(f"{name} {value:.3g}" for name, value in last.items())
+        errors = ", ".join(
+            f"{name} {'diverged' if value is None else format(value, '.3g')}" for name, value in last.items()
+        )
         lines.append(f"Error of {facts['horizon']}-sample rollouts in runs that were held out: {errors}.")
     lines.append("Comments: 95 % interval; ~ = the data alone, without the prior, leave it wider than ± 5 %.")
     return lines

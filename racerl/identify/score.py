@@ -13,7 +13,7 @@ from racerl.identify.windows import Cut
 from racerl.vehicle.rollout import Rollout
 
 Array = NDArray[np.float64]
-Table = dict[str, dict[str, float]]
+Table = dict[str, dict[str, float | None]]
 
 HORIZONS = (1, 5, 20, 50, 85)  # samples
 START_EVERY = 4  # samples between the starts of scored rollouts
@@ -34,11 +34,14 @@ class ErrorSum:
         self.count += errors.shape[2]
 
     def rmse(self) -> Table:
-        """Return {horizon: {channel: RMSE}} in the channels' units; a rollout that diverged makes it infinite."""
+        """Return {horizon: {channel: RMSE}} in the channels' units; None when a rollout diverged."""
         table: Table = {}
         for horizon in self.horizons:
             mean = self.total[:horizon].mean(axis=0) / max(self.count, 1)
-            table[str(horizon)] = {name: float(np.sqrt(value)) for name, value in zip(self.observed, mean, strict=True)}
+            table[str(horizon)] = {
+                name: float(np.sqrt(value)) if np.isfinite(value) else None
+                for name, value in zip(self.observed, mean, strict=True)
+            }
         return table
 
 

@@ -2,7 +2,7 @@
 
 import fnmatch
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -45,6 +45,7 @@ def choose_unknowns(vehicle: Vehicle, priors: Mapping[str, Any], hold: Sequence[
     parameter's unit, null holds it. The last pattern that fits a name decides. Raises ConfigError.
     """
     table = {name: float(value) for name, value in values(vehicle).items()}
+    priors = dict(_flat(priors))
     for pattern in [*priors, *hold]:
         if not fnmatch.filter(values(configured), pattern):
             raise ConfigError(f"no parameter of the vehicle fits '{pattern}'{suggest(pattern, values(configured))}")
@@ -67,6 +68,15 @@ def choose_unknowns(vehicle: Vehicle, priors: Mapping[str, Any], hold: Sequence[
         np.array([known[name].high for name in names]),
         tuple(known[name] for name in names),
     )
+
+
+def _flat(priors: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield (dotted pattern, width); an override such as priors.front.p_Hy1=… arrives nested."""
+    for key, width in priors.items():
+        if isinstance(width, Mapping) and "absolute" not in width:
+            yield from _flat(width, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", width
 
 
 def _deviation(pattern: str, width: Any, value: float) -> float:

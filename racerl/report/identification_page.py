@@ -50,7 +50,7 @@ def draw_identification(run: Path) -> Path:
     return folder.path / PAGE
 
 
-def error_rows(facts: dict[str, Any]) -> list[tuple[str, str, dict[str, float]]]:
+def error_rows(facts: dict[str, Any]) -> list[tuple[str, str, dict[str, float | None]]]:
     """Return (vehicle, horizon, RMSE by channel) for what was scored."""
     rows = []
     for key, fitted, scored in ERRORS:
@@ -74,8 +74,8 @@ def _drawn(facts: dict[str, Any], curves: pd.DataFrame, windows: pd.DataFrame) -
         (
             "overlay",
             "Measured and simulated",
-            f"Rollouts of {facts['horizon']} samples in the run of median error. Each starts from the measured state, at "
-            "a dotted line.",
+            f"Rollouts of {facts['horizon']} samples in the run of median error. Each starts from the measured state, "
+            "at a dotted line.",
             overlay.draw(windows, fitted),
         ),
         (

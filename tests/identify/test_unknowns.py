@@ -22,6 +22,12 @@ def test_shares_absolutes_and_null():
     assert "mass" not in unknowns.names and "yaw_inertia" not in unknowns.names
 
 
+def test_dotted_overrides_nest_and_mean_the_same():
+    nested = choose({"l_f": 0.1, "front": {"p_Hy1": {"absolute": 0.02}, "p_Ky1": 0.3}})
+    assert nested.names == choose({"l_f": 0.1, "front.p_Hy1": {"absolute": 0.02}, "front.p_Ky1": 0.3}).names
+    assert nested.sigma[nested.names.index("front.p_Hy1")] == 0.02
+
+
 def test_hold_takes_back():
     names = choose({"l_f": 0.1, "*.p_K[xy]1": 0.3}, ["front.*"]).names
     assert set(names) == {"l_f", "rear.p_Kx1", "rear.p_Ky1"}
@@ -45,7 +51,7 @@ def test_draws_respect_the_bounds():
         ({"l_f": 0.1}, ["frnt.*"], "no parameter of the vehicle fits 'frnt"),
         ({"l_f": "much"}, [], "priors.l_f = much"),
         ({"l_f": -0.1}, [], "priors.l_f"),
-        ({"l_f": {"absolut": 1}}, [], "absolute"),
+        ({"l_f": {"absolut": 1}}, [], "no parameter of the vehicle fits .l_f.absolut."),
         ({"l_f": None}, [], "every parameter is held"),
     ],
 )

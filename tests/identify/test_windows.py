@@ -17,7 +17,7 @@ def drive(rows=(200, 150, 40), **channels):
     count = np.arange(n, dtype=float)
     run = np.repeat(np.arange(len(rows)), rows)
     table = {"t": count * 0.01, "run": run}
-    table |= {name: 1.0 + count * 0.01 for name in ("v_x", "v_y", "yaw_rate", "delta", "omega")}
+    table |= dict.fromkeys(("v_x", "v_y", "yaw_rate", "delta", "omega"), 1.0 + count * 0.01)
     table["delta"] = np.sin(count)
     table |= {name: values for name, values in channels.items() if values is not None}
     return Log.from_table("drive", pd.DataFrame({k: v for k, v in table.items() if channels.get(k, 0) is not None}))

@@ -1,0 +1,80 @@
+"""Intervals cover the truth as often as they say, and what can't be told apart is named."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from racerl.identify.methods import Fit
+from racerl.identify.objective import Linearised, Point
+from racerl.identify.score import ErrorSum, held_errors, horizons_within
+from racerl.identify.uncertainty import describe, estimate
+from racerl.identify.unknowns import Unknowns
+from racerl.vehicle.parameter import Parameter
+
+TRUTH = np.array([2.0, -1.0, 0.5])
+
+
+def linear_fit(seed, design=None, count=120, noise=0.3):
+    """A straight-line problem y = Jθ + noise with one state per window that takes up nothing."""
+    generator = np.random.default_rng(seed)
+    J = generator.standard_normal((count, 5, 3)) if design is None else design(generator, count)
+    y = J @ TRUTH + noise * generator.standard_normal((count, 5))
+    tt = np.einsum("wki,wkj->wij", J, J)
+    theta = np.linalg.solve(tt.sum(0) + 1e-9 * np.eye(3), np.einsum("wki,wk->i", J, y))
+    e = J @ theta - y
+    none = np.zeros((count, 3, 1))
+    at = Linearised(
+        1.0, float((e**2).sum()), e**2, tt, none, np.ones((count, 1, 1)), np.einsum("wki,wk->wi", J, e), none[:, 0]
+    )
+    names = ("a", "b", "c")
+    specification = (Parameter("", -9, 9, ""),) * 3
+    unknowns = Unknowns(names, np.zeros(3), np.ones(3), np.full(3, -9.0), np.full(3, 9.0), specification)
+    objective = SimpleNamespace(unknowns=unknowns, penalty=0.0)
+    return Fit(Point(theta, np.zeros((1, count))), at, 1, True), objective, count * 5
+
+
+def test_intervals_cover_the_truth():
+    inside = []
+    for seed in range(60):
+        fit, objective, independent = linear_fit(seed)
+        low, high = np.percentile(
+            estimate(fit, objective, np.arange(120) // 3, independent, 0).draws, [2.5, 97.5], axis=0
+        )
+        inside.append((low <= TRUTH) & (high >= TRUTH))
+    assert 0.88 <= np.mean(inside) <= 0.99
+
+
+def test_half_width_is_the_covariances():
+    fit, objective, independent = linear_fit(0)
+    sigma = np.sqrt(np.diag(np.linalg.inv(fit.linearised.tt.sum(0))) * fit.linearised.data / independent)
+    assert np.allclose(estimate(fit, objective, np.zeros(120), independent, 0).half_width, 1.96 * sigma, rtol=1e-6)
+
+
+def test_twins_are_named_not_separable():
+    def design(generator, count):
+        J = generator.standard_normal((count, 5, 3))
+        J[..., 1] = J[..., 0] + 0.05 * J[..., 1]
+        return J
+
+    fit, objective, independent = linear_fit(1, design)
+    table, pairs = describe(fit, objective, estimate(fit, objective, np.arange(120), independent, 0))
+    assert [sorted(pair["parameters"]) for pair in pairs] == [["a", "b"]]
+    assert table["a"]["not_separable_from"] == ["b"] and not table["a"]["identified"]
+    assert table["c"]["identified"] and table["c"]["not_separable_from"] == []
+
+
+def test_scores_by_hand():
+    measured = np.array([[[1.0]], [[2.0]], [[4.0]]])  # one channel, one window, three samples
+    total = ErrorSum(["v_x"], [1, 2])
+    total.add(held_errors(SimpleNamespace(windows=SimpleNamespace(measured=measured))))
+    assert total.rmse() == {"1": {"v_x": 1.0}, "2": {"v_x": np.sqrt((1 + 9) / 2)}}
+
+
+def test_a_diverged_rollout_is_not_hidden():
+    total = ErrorSum(["v_x"], [2])
+    total.add(np.array([[[0.0, 0.0]], [[0.1, np.nan]], [[0.1, np.nan]]]))
+    assert total.rmse()["2"]["v_x"] is None
+
+
+def test_horizons():
+    assert horizons_within(85) == [1, 5, 20, 50, 85] and horizons_within(30) == [1, 5, 20, 30]
