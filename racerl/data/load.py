@@ -35,7 +35,9 @@ MAX_BYTES = 512 * 1024 * 1024  # of a table, unpacked
 MAX_HEADER_BYTES = 64 * 1024
 MAX_COLUMNS = 1000
 MAX_ROWS = 5_000_000
+MAX_CELLS = 64_000_000  # rows times columns
 EPOCH = 1e6  # s; later times are clock times, and counted from the first sample
+SAME = 1e-6  # s within which two stamps are one; clock times are known to 2e-7 s
 LEAP = 100.0  # m/s between two samples of a pose that no small car does
 
 Array = NDArray[np.float64]
@@ -121,10 +123,13 @@ def _read_csv(path: Path, content: bytes) -> pd.DataFrame:
 def _read_parquet(path: Path) -> pd.DataFrame:
     with pq.ParquetFile(path) as file:
         metadata = file.metadata
+        cells = metadata.num_rows * metadata.num_columns
         size = sum(metadata.row_group(i).total_byte_size for i in range(metadata.num_row_groups))
-        if metadata.num_rows > MAX_ROWS or metadata.num_columns > MAX_COLUMNS or size > MAX_BYTES:
+        if cells > MAX_CELLS or metadata.num_columns > MAX_COLUMNS or size > MAX_BYTES:
             raise LogError(f"{path}: {metadata.num_rows} rows, {metadata.num_columns} columns; too large, cut the log")
-        return _limited(path, file.read(use_threads=False).to_pandas(use_threads=False))
+        # what the writer noted about its own tables is not needed, and may be damaged or made up
+        content = file.read(use_threads=False).replace_schema_metadata(None)
+        return _limited(path, content.to_pandas(use_threads=False, ignore_metadata=True))
 
 
 def _limited(path: Path, table: pd.DataFrame) -> pd.DataFrame:
@@ -168,6 +173,8 @@ def _named(path: Path, table: pd.DataFrame, layout: Layout) -> tuple[pd.DataFram
     if not found:
         raise LogError(f"{path}: has none of the columns that its mapping names{_likely(have)}")
     remarks = [f"no column for {name}: untestable" for name in chosen if name not in found]
+    if layout.velocities == "poses" and all(name in found for name in POSE):
+        found = {name: source for name, source in found.items() if name not in VELOCITY}
     keep = np.ones(len(table), dtype=bool)
     for column, value in layout.require.items():
         if column not in have:
@@ -301,8 +308,9 @@ def _assemble(name: str, pieces: list[Piece], layout: Layout, rate: float | None
 
 
 def _since(origin: float, piece: Piece) -> Piece:
-    streams = {channel: stream._replace(t=stream.t - origin) for channel, stream in piece.streams.items()}
-    return replace(piece, t=piece.t - origin, streams=streams)
+    """Return the piece with times from `origin` on, to the microsecond, which is what clock times are good for."""
+    streams = {name: stream._replace(t=np.round(stream.t - origin, 6)) for name, stream in piece.streams.items()}
+    return replace(piece, t=np.round(piece.t - origin, 6), streams=streams)
 
 
 def _median_step(pieces: list[Piece]) -> float:
@@ -321,14 +329,16 @@ def _sample(stream: Stream, t: Array, channel: str, gap: float) -> Array:
         return np.full(len(t), np.nan)
     if len(stream.t) == len(t) and np.array_equal(stream.t, t):
         return np.unwrap(stream.value) if channel == "yaw" else stream.value
-    before = np.searchsorted(stream.t, t + 1e-9, side="right") - 1
+    inside = np.clip(t, stream.t[0], stream.t[-1])
+    t = np.where(np.abs(inside - t) < SAME, inside, t)
+    before = np.searchsorted(stream.t, t + SAME, side="right") - 1
     if stream.hold:
         return np.where((before >= 0) & (t <= stream.t[-1] + gap), stream.value[np.maximum(before, 0)], np.nan)
     value = np.unwrap(stream.value) if channel == "yaw" else stream.value
     line = np.interp(t, stream.t, value, left=np.nan, right=np.nan)
     after = np.minimum(before + 1, len(stream.t) - 1)
-    wide = stream.t[after] - stream.t[np.maximum(before, 0)] > max(gap, 1e-6)
-    return np.where(wide & (np.abs(stream.t[np.maximum(before, 0)] - t) > 1e-6), np.nan, line)
+    wide = stream.t[after] - stream.t[np.maximum(before, 0)] > gap
+    return np.where(wide & (np.abs(stream.t[np.maximum(before, 0)] - t) > SAME), np.nan, line)
 
 
 def _without_leaps(name: str, pieces: list[Piece], gap: float) -> tuple[list[Piece], tuple[str, ...]]:
