@@ -38,6 +38,10 @@ MAX_ROWS = 5_000_000
 MAX_CELLS = 64_000_000  # rows times columns
 EPOCH = 1e6  # s; later times are clock times, and counted from the first sample
 SAME = 1e-6  # s within which two stamps are one; clock times are known to 2e-7 s
+# a pose's sample is a spike when it lies further off the line between its neighbours than this acceleration and step,
+# and a multiple of what is usual in the log, allow
+SPIKES = {"x": (100.0, 0.005), "y": (100.0, 0.005), "yaw": (500.0, 0.01)}  # m/s², m; rad/s², rad
+USUAL = 20.0
 LEAP = 100.0  # m/s between two samples of a pose that no small car does
 
 Array = NDArray[np.float64]
@@ -66,8 +70,9 @@ def load_log(path: Path, layout: Layout) -> Log:
         if not layout.of_bag:
             raise LogError(f"{path}: is a bag, but its mapping names no topics; give data=ros2")
         streams, remarks = read_streams(path, layout)
+        streams, spikes = _without_spikes(path.name, streams)
         pieces = _cut_streams(path.name, streams, layout)
-        return _assemble(path.name, pieces, layout, layout.resample, remarks)
+        return _assemble(path.name, pieces, layout, layout.resample, (*remarks, *_spike_remark(spikes)))
     if layout.of_bag:
         raise LogError(f"{path}: is no bag, but its mapping names topics{_likely(_columns(read_table(path)))}")
     table, remarks = _named(path, read_table(path), layout)
@@ -239,12 +244,20 @@ def _cut_table(name: str, table: pd.DataFrame, layout: Layout) -> tuple[list[Pie
         raise LogError(f"{name}: {cut.mean():.0%} of its steps jump in time; raise data.gap = {layout.gap:g} s?")
     values = {channel: rows[channel].to_numpy() for channel in channels}
     runs = rows["run"].to_numpy() if "run" in rows else None
-    pieces = []
+    pieces, spikes = [], 0
     for start, stop in _spans(cut):
-        streams = {c: Stream(t[start:stop] + layout.shift.get(c, 0.0), v[start:stop]) for c, v in values.items()}
-        held = {c: stream._replace(hold=_held(layout, c)) for c, stream in streams.items()}
-        pieces.append(Piece(None if runs is None else runs[start], t[start:stop], held))
-    return pieces, tuple(remarks)
+        streams = {
+            c: Stream(t[start:stop] + layout.shift.get(c, 0.0), v[start:stop], _held(layout, c))
+            for c, v in values.items()
+        }
+        streams, count = _without_spikes(name, streams)
+        spikes += count
+        pieces.append(Piece(None if runs is None else runs[start], t[start:stop], streams))
+    return pieces, (*remarks, *_spike_remark(spikes))
+
+
+def _spike_remark(spikes: int) -> tuple[str, ...]:
+    return (f"{spikes} samples that stuck out of the pose are replaced by the line between their neighbours",)[:spikes]
 
 
 def _held(layout: Layout, channel: str) -> bool:
@@ -339,6 +352,30 @@ def _sample(stream: Stream, t: Array, channel: str, gap: float) -> Array:
     after = np.minimum(before + 1, len(stream.t) - 1)
     wide = stream.t[after] - stream.t[np.maximum(before, 0)] > gap
     return np.where(wide & (np.abs(stream.t[np.maximum(before, 0)] - t) > SAME), np.nan, line)
+
+
+def _without_spikes(name: str, streams: Mapping[str, Stream]) -> tuple[dict[str, Stream], int]:
+    """Drop single samples that stick out of a pose, as flipped bits and swapped markers make them."""
+    kept, count = dict(streams), 0
+    for channel, limits in SPIKES.items():
+        if channel in streams and len(streams[channel].t) > 4:
+            stream = streams[channel]
+            keep = ~_spikes(stream.t, np.unwrap(stream.value) if channel == "yaw" else stream.value, *limits)
+            kept[channel] = stream._replace(t=stream.t[keep], value=stream.value[keep])
+            count += int((~keep).sum())
+            if (~keep).sum() > max(3, 0.01 * len(keep)):
+                raise LogError(f"{name}: {(~keep).sum()} of {len(keep)} samples of {channel} are spikes; it is damaged")
+    return kept, count
+
+
+def _spikes(t: Array, value: Array, acceleration: float, slack: float) -> NDArray[np.bool_]:
+    before, after = np.diff(t)[:-1], np.diff(t)[1:]
+    line = (value[:-2] * after + value[2:] * before) / (before + after)
+    off = np.abs(value[1:-1] - line)
+    limit = acceleration * before * after / 2 + slack + USUAL * float(np.median(off))
+    # beside a lasting leap two samples stick out alike; beside a spike its neighbours stick out half as much
+    beside = np.maximum(np.concatenate([[0.0], off[:-1]]), np.concatenate([off[1:], [0.0]]))
+    return np.concatenate([[False], (off > limit) & (off > 1.5 * beside), [False]])
 
 
 def _without_leaps(name: str, pieces: list[Piece], gap: float) -> tuple[list[Piece], tuple[str, ...]]:

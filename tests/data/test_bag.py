@@ -88,14 +88,14 @@ def test_a_wildly_scaled_bag_is_refused(tmp_path):
 def test_a_bag_cut_short_is_one_line(tmp_path, storage):
     file = write_bag(tmp_path / "bag", 100, storage)
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
-    with pytest.raises(LogError, match="damaged|cut short|cannot be") as error:
+    with pytest.raises(LogError, match=r"damaged|cut short|cannot be") as error:
         load(file)
     assert "\n" not in str(error.value)
 
 
 def test_empty_and_foreign_places(tmp_path):
     (tmp_path / "empty").mkdir()
-    with pytest.raises(LogError, match="0 .db3 or .mcap"):
+    with pytest.raises(LogError, match=r"0 \.db3 or \.mcap"):
         load(tmp_path / "empty")
     sqlite3.connect(tmp_path / "other.db3").execute("create table a (b)").connection.commit()
     with pytest.raises(LogError, match="damaged"):

@@ -100,6 +100,17 @@ def test_gaps_and_leaps_cut_runs_and_short_ones_are_dropped(tmp_path):
     np.testing.assert_allclose(log.array("v_x"), 1.0, atol=1e-9)
 
 
+@pytest.mark.parametrize("name, size", [("x", 0.3), ("y", -0.05), ("yaw", 0.5)])
+def test_a_spike_in_a_pose_is_replaced(driven, tmp_path, name, size):
+    poses = driven.drop(columns=["v_x", "v_y", "yaw_rate"])
+    whole = load(save(poses, tmp_path / "a.csv"))
+    poses.loc[1000, name] += size
+    log = load(save(poses, tmp_path / "b.csv"))
+    assert any("stuck out" in r for r in log.remarks) and not any("stuck out" in r for r in whole.remarks)
+    np.testing.assert_allclose(log.array("v_x"), whole.array("v_x"), atol=0.1)
+    np.testing.assert_allclose(log.array("yaw_rate"), whole.array("yaw_rate"), atol=0.1)
+
+
 def test_only_required_rows_count(driven, tmp_path):
     table = driven.assign(safe=(driven["run"] != 1).astype(float))
     log = load(save(table, tmp_path / "a.csv"), require={"safe": 1})
