@@ -39,6 +39,18 @@ def test_record(tmp_path):
     assert {path.name for path in (tmp_path / "drive").iterdir()} >= {"log.parquet", "vehicle.yaml", "manifest.json"}
 
 
+def test_data(tmp_path):
+    t = [0.01 * i for i in range(500)]
+    rows = [f"{x:.2f},{1 + 0.2 * x:.4f},{50 * (1 + 0.2 * x):.4f}" for x in t]
+    (tmp_path / "drive.csv").write_text("t,v_x,omega\n" + "\n".join(rows))
+    done = run("data", "drive.csv", "out=seen", cwd=tmp_path)
+    assert done.returncode == 0 and done.stderr == "", done.stderr
+    assert "warning: omega is 50 times v_x" in done.stdout and "report in seen/report.html" in done.stdout
+    assert {"data.json", "log_0.parquet", "report.html"} <= {path.name for path in (tmp_path / "seen").iterdir()}
+    done = run("data", "drive.csv", "out=seen", cwd=tmp_path)
+    assert done.returncode == 2 and "already holds" in done.stderr
+
+
 def test_warnings_reach_the_user(tmp_path):
     """Without a compiler on the PATH the simulator falls back to torch, and one line says so."""
     environment = {"PYTHONPATH": str(ROOT), "PATH": "/nowhere", "HOME": str(tmp_path)}
@@ -75,6 +87,10 @@ def test_cfg_job_prints_the_composed_config(tmp_path):
         (["evaluate"], "run=…"),
         (["evaluate", "nowhere"], "no racerl run folder"),
         (["report"], "no finished run"),
+        (["data"], "logs=…"),
+        (["data", "nowhere.csv"], "no such file"),
+        (["data", "nowhere.csv", "data=drat"], "did you mean dart"),
+        (["data", "nowhere.csv", "data.savgol.window=4"], "odd number"),
     ],
 )
 def test_mistakes_end_with_one_line_and_leave_nothing(words, said, tmp_path):
@@ -91,7 +107,7 @@ def test_help_is_quick_and_complete(tmp_path):
         began = time.perf_counter()
         done = run("--help", cwd=tmp_path)
         times.append(time.perf_counter() - began)
-    assert all(name in done.stdout for name in ("train", "evaluate", "report"))
+    assert all(name in done.stdout for name in ("train", "evaluate", "report", "data"))
     assert min(times) < 0.7
 
 

@@ -320,15 +320,15 @@ def _explained(features: Array, target: Array, small: Array) -> float:
 
     It is zero when a `small` positive step of the first features lowers the target, as no tyre and no motor does.
     """
-    matrix = np.hstack([features, np.ones((len(target), 1))])
-    scale = np.maximum(matrix.std(axis=0), 1e-9)
-    scale[-1] = 1.0
-    matrix = matrix / scale
+    spread = features.std(axis=0)
+    scale = np.where(spread > 1e-6, spread, np.inf)  # what does not vary explains nothing
+    matrix = (features - features.mean(axis=0)) / scale
+    centred = target - target.mean()
     gram = matrix.T @ matrix
-    weights = np.linalg.solve(gram + 1e-6 * len(target) * np.eye(len(gram)), matrix.T @ target)
+    weights = np.linalg.solve(gram + 1e-6 * len(target) * np.eye(len(gram)), matrix.T @ centred)
     if small @ (weights / scale)[: len(small)] <= 0.0:
         return 0.0
-    return max(0.0, float(1.0 - np.var(target - matrix @ weights) / np.var(target)))
+    return max(0.0, float(1.0 - np.var(centred - matrix @ weights) / np.var(target)))
 
 
 def _best(scores: list[float], reach: int, dt: float) -> Lag:
@@ -375,8 +375,8 @@ def _lag_warnings(log: Log, lags: dict[str, Lag]) -> Iterator[str]:
     lag = lags.get("yaw to yaw_rate")
     if lag is not None and lag.best > 0.8 and abs(lag.seconds) >= MAX_POSE_LAG and lag.best - lag.unshifted > 1e-3:
         yield (
-            f"yaw_rate is {lag.seconds:+.3f} s behind the differentiated yaw: filtered, or stamps of another clock; "
-            "leave the velocities out of the mapping and they are made from the poses"
+            f"yaw_rate lags the differentiated yaw by {lag.seconds:.3f} s: filtered, or stamps of another clock; "
+            "data.velocities=poses makes velocities from the poses"
         )
     lag = lags.get("delta_ref to delta")
     if lag is not None and lag.best > 0.5 and lag.best - lag.unshifted > 1e-3 and not -0.015 <= lag.seconds <= 0.15:

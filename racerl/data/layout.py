@@ -9,6 +9,7 @@ frame     the tracked point seen from the centre of gravity: forward, left in m;
 shift     seconds added to the time stamps of a channel before it is sampled beside the others
 resample  rate in Hz of the log; null keeps the file's own samples
 gap       longest pause in s between samples of one run
+velocities  given: as the file has them; poses: differentiated from the poses even so
 savgol    window (samples, odd) and order of the filter that differentiates poses where velocities are absent
 require   column: value, rows with another value are left out
 vehicle   wheelbase in m, for the kinematic checks of `racerl data`
@@ -29,6 +30,7 @@ from racerl.registry import construct
 
 COMMANDS = ("delta_ref", "omega_ref")
 STAMPS = ("header", "received")
+VELOCITIES = ("given", "poses")
 
 
 @dataclass(frozen=True)
@@ -95,6 +97,7 @@ class Layout:
     shift: Mapping[str, float] = field(default_factory=dict)
     resample: float | None = None
     gap: float = 0.1
+    velocities: str = "given"
     savgol: Savgol = Savgol()
     require: Mapping[str, float] = field(default_factory=dict)
     vehicle: Car = Car()
@@ -119,6 +122,7 @@ def read_layout(settings: Mapping[str, Any]) -> Layout:
         "resample": lambda value: _number("data.resample", value, 2.0, 10_000.0, "Hz, or null"),
         "gap": lambda value: _number("data.gap", value, 1e-3, 10.0, "s"),
         "run": lambda value: _text("data.run", value),
+        "velocities": _velocities,
     }
     for key in settings:
         if key not in parts:
@@ -181,6 +185,12 @@ def _frame(frame: Frame) -> Frame:
     _number("data.frame.left", frame.left, -10.0, 10.0, "m")
     _number("data.frame.yaw", frame.yaw, -math.pi, math.pi, "rad")
     return frame
+
+
+def _velocities(value: Any) -> str:
+    if value not in VELOCITIES:
+        raise ConfigError(f"data.velocities = {value}: allowed is {' or '.join(VELOCITIES)}")
+    return str(value)
 
 
 def _savgol(savgol: Savgol) -> Savgol:

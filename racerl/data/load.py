@@ -35,7 +35,13 @@ MAX_BYTES = 512 * 1024 * 1024  # of a table, unpacked
 MAX_HEADER_BYTES = 64 * 1024
 MAX_COLUMNS = 1000
 MAX_ROWS = 5_000_000
+MAX_CELLS = 64_000_000  # rows times columns
 EPOCH = 1e6  # s; later times are clock times, and counted from the first sample
+SAME = 1e-6  # s within which two stamps are one; clock times are known to 2e-7 s
+# a pose's sample is a spike when it lies further off the line between its neighbours than this acceleration and step,
+# and a multiple of what is usual in the log, allow
+SPIKES = {"x": (100.0, 0.005), "y": (100.0, 0.005), "yaw": (500.0, 0.01)}  # m/s², m; rad/s², rad
+USUAL = 20.0
 LEAP = 100.0  # m/s between two samples of a pose that no small car does
 
 Array = NDArray[np.float64]
@@ -73,8 +79,9 @@ def load_log(path: Path, layout: Layout) -> Log:
         if not layout.of_bag:
             raise LogError(f"{path}: is a bag, but its mapping names no topics; give data=ros2")
         streams, remarks = read_streams(path, layout)
+        streams, spikes = _without_spikes(path.name, streams)
         pieces = _cut_streams(path.name, streams, layout)
-        return _assemble(path.name, pieces, layout, layout.resample, remarks)
+        return _assemble(path.name, pieces, layout, layout.resample, (*remarks, *_spike_remark(spikes)))
     if layout.of_bag:
         raise LogError(f"{path}: is no bag, but its mapping names topics{_likely(_columns(read_table(path)))}")
     table, remarks = _named(path, read_table(path), layout)
@@ -130,10 +137,13 @@ def _read_csv(path: Path, content: bytes) -> pd.DataFrame:
 def _read_parquet(path: Path) -> pd.DataFrame:
     with pq.ParquetFile(path) as file:
         metadata = file.metadata
+        cells = metadata.num_rows * metadata.num_columns
         size = sum(metadata.row_group(i).total_byte_size for i in range(metadata.num_row_groups))
-        if metadata.num_rows > MAX_ROWS or metadata.num_columns > MAX_COLUMNS or size > MAX_BYTES:
+        if cells > MAX_CELLS or metadata.num_columns > MAX_COLUMNS or size > MAX_BYTES:
             raise LogError(f"{path}: {metadata.num_rows} rows, {metadata.num_columns} columns; too large, cut the log")
-        return _limited(path, file.read(use_threads=False).to_pandas(use_threads=False))
+        # what the writer noted about its own tables is not needed, and may be damaged or made up
+        content = file.read(use_threads=False).replace_schema_metadata(None)
+        return _limited(path, content.to_pandas(use_threads=False, ignore_metadata=True))
 
 
 def _limited(path: Path, table: pd.DataFrame) -> pd.DataFrame:
@@ -177,6 +187,8 @@ def _named(path: Path, table: pd.DataFrame, layout: Layout) -> tuple[pd.DataFram
     if not found:
         raise LogError(f"{path}: has none of the columns that its mapping names{_likely(have)}")
     remarks = [f"no column for {name}: untestable" for name in chosen if name not in found]
+    if layout.velocities == "poses" and all(name in found for name in POSE):
+        found = {name: source for name, source in found.items() if name not in VELOCITY}
     keep = np.ones(len(table), dtype=bool)
     for column, value in layout.require.items():
         if column not in have:
@@ -241,12 +253,20 @@ def _cut_table(name: str, table: pd.DataFrame, layout: Layout) -> tuple[list[Pie
         raise LogError(f"{name}: {cut.mean():.0%} of its steps jump in time; raise data.gap = {layout.gap:g} s?")
     values = {channel: rows[channel].to_numpy() for channel in channels}
     runs = rows["run"].to_numpy() if "run" in rows else None
-    pieces = []
+    pieces, spikes = [], 0
     for start, stop in _spans(cut):
-        streams = {c: Stream(t[start:stop] + layout.shift.get(c, 0.0), v[start:stop]) for c, v in values.items()}
-        held = {c: stream._replace(hold=_held(layout, c)) for c, stream in streams.items()}
-        pieces.append(Piece(None if runs is None else runs[start], t[start:stop], held))
-    return pieces, tuple(remarks)
+        streams = {
+            c: Stream(t[start:stop] + layout.shift.get(c, 0.0), v[start:stop], _held(layout, c))
+            for c, v in values.items()
+        }
+        streams, count = _without_spikes(name, streams)
+        spikes += count
+        pieces.append(Piece(None if runs is None else runs[start], t[start:stop], streams))
+    return pieces, (*remarks, *_spike_remark(spikes))
+
+
+def _spike_remark(spikes: int) -> tuple[str, ...]:
+    return (f"{spikes} samples that stuck out of the pose are replaced by the line between their neighbours",)[:spikes]
 
 
 def _held(layout: Layout, channel: str) -> bool:
@@ -310,8 +330,9 @@ def _assemble(name: str, pieces: list[Piece], layout: Layout, rate: float | None
 
 
 def _since(origin: float, piece: Piece) -> Piece:
-    streams = {channel: stream._replace(t=stream.t - origin) for channel, stream in piece.streams.items()}
-    return replace(piece, t=piece.t - origin, streams=streams)
+    """Return the piece with times from `origin` on, to the microsecond, which is what clock times are good for."""
+    streams = {name: stream._replace(t=np.round(stream.t - origin, 6)) for name, stream in piece.streams.items()}
+    return replace(piece, t=np.round(piece.t - origin, 6), streams=streams)
 
 
 def _median_step(pieces: list[Piece]) -> float:
@@ -330,14 +351,40 @@ def _sample(stream: Stream, t: Array, channel: str, gap: float) -> Array:
         return np.full(len(t), np.nan)
     if len(stream.t) == len(t) and np.array_equal(stream.t, t):
         return np.unwrap(stream.value) if channel == "yaw" else stream.value
-    before = np.searchsorted(stream.t, t + 1e-9, side="right") - 1
+    inside = np.clip(t, stream.t[0], stream.t[-1])
+    t = np.where(np.abs(inside - t) < SAME, inside, t)
+    before = np.searchsorted(stream.t, t + SAME, side="right") - 1
     if stream.hold:
         return np.where((before >= 0) & (t <= stream.t[-1] + gap), stream.value[np.maximum(before, 0)], np.nan)
     value = np.unwrap(stream.value) if channel == "yaw" else stream.value
     line = np.interp(t, stream.t, value, left=np.nan, right=np.nan)
     after = np.minimum(before + 1, len(stream.t) - 1)
-    wide = stream.t[after] - stream.t[np.maximum(before, 0)] > max(gap, 1e-6)
-    return np.where(wide & (np.abs(stream.t[np.maximum(before, 0)] - t) > 1e-6), np.nan, line)
+    wide = stream.t[after] - stream.t[np.maximum(before, 0)] > gap
+    return np.where(wide & (np.abs(stream.t[np.maximum(before, 0)] - t) > SAME), np.nan, line)
+
+
+def _without_spikes(name: str, streams: Mapping[str, Stream]) -> tuple[dict[str, Stream], int]:
+    """Drop single samples that stick out of a pose, as flipped bits and swapped markers make them."""
+    kept, count = dict(streams), 0
+    for channel, limits in SPIKES.items():
+        if channel in streams and len(streams[channel].t) > 4:
+            stream = streams[channel]
+            keep = ~_spikes(stream.t, np.unwrap(stream.value) if channel == "yaw" else stream.value, *limits)
+            kept[channel] = stream._replace(t=stream.t[keep], value=stream.value[keep])
+            count += int((~keep).sum())
+            if (~keep).sum() > max(3, 0.01 * len(keep)):
+                raise LogError(f"{name}: {(~keep).sum()} of {len(keep)} samples of {channel} are spikes; it is damaged")
+    return kept, count
+
+
+def _spikes(t: Array, value: Array, acceleration: float, slack: float) -> NDArray[np.bool_]:
+    before, after = np.diff(t)[:-1], np.diff(t)[1:]
+    line = (value[:-2] * after + value[2:] * before) / (before + after)
+    off = np.abs(value[1:-1] - line)
+    limit = acceleration * before * after / 2 + slack + USUAL * float(np.median(off))
+    # beside a lasting leap two samples stick out alike; beside a spike its neighbours stick out half as much
+    beside = np.maximum(np.concatenate([[0.0], off[:-1]]), np.concatenate([off[1:], [0.0]]))
+    return np.concatenate([[False], (off > limit) & (off > 1.5 * beside), [False]])
 
 
 def _without_leaps(name: str, pieces: list[Piece], gap: float) -> tuple[list[Piece], tuple[str, ...]]:

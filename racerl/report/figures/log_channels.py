@@ -43,7 +43,7 @@ def draw(table: pd.DataFrame, facts: Mapping[str, Any]) -> str | None:
             for border in borders[:200]:
                 axis.axvline(border, color="black", lw=0.5, alpha=0.4)
             axis.set_ylabel(label)
-            if len(names) > 1:
+            if len(names) > 1 or names[0].endswith("_ref"):
                 axis.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, fontsize=8, borderpad=0.0)
         axes[-1].set(xlabel="time driven [s]", xlim=(0.0, float(driven[-1])))
         figure.align_ylabels(list(axes))

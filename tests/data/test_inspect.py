@@ -1,0 +1,174 @@
+"""The inspection: every trap is seen on a log made to show it, none on clean ones; the measured logs show theirs."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from racerl.data.inspect import compare, inspect, noise
+from racerl.data.load import load_logs
+from racerl.data.log import Log
+from tests.data.conftest import mapping, measured, simulate
+
+
+def warnings(table: pd.DataFrame, wheelbase: float = 0.33) -> list[str]:
+    return inspect(Log.from_table("drive", table), wheelbase)["warnings"]
+
+
+def moved(table: pd.DataFrame, name: str, rows: int) -> pd.DataFrame:
+    """Return the table with a channel late by that many rows, run by run."""
+    late = [np.roll(run[name], rows) for _, run in table.groupby("run", sort=False)]
+    return table.assign(**{name: np.concatenate(late)})
+
+
+@pytest.mark.parametrize("top", [2.5, 4.5])
+@pytest.mark.parametrize("overrides", [(), ("vehicle.friction=0.5",), ("+vehicle/effect=tyre_relaxation",)])
+def test_clean_logs_raise_no_warning(overrides, top):
+    facts = inspect(Log.from_table("drive", simulate(overrides, seed=3, top=top)))
+    assert facts["warnings"] == []
+    json.dumps(facts, allow_nan=False)
+
+
+def test_facts_of_a_clean_log(driven):
+    facts = inspect(Log.from_table("drive", driven))
+    assert facts["rate_hz"] == 100 and facts["seconds"] == 60 and len(facts["runs"]) == 3 and len(facts["gaps"]) == 2
+    assert facts["missing"] == ["current"]
+    assert facts["channels"]["omega"]["noise"] == pytest.approx(0.03, rel=0.1)
+    assert facts["channels"]["delta_ref"]["updates_hz"] == pytest.approx(20, abs=0.5)
+    assert facts["lags"]["delta"]["seconds"] == pytest.approx(0.0, abs=0.011)
+    assert facts["lags"]["delta_ref"]["seconds"] == pytest.approx(0.044, abs=0.02)
+    assert set(facts["coverage"]) == {"speed", "slip_angle", "slip_ratio", "a_x", "a_y"}
+    seconds = sum(facts["coverage"]["speed"]["seconds"])
+    assert 58 < seconds <= 60
+
+
+def test_noise_is_what_was_added():
+    dice = np.random.default_rng(0)
+    t = np.arange(0.0, 30.0, 0.01)
+    table = pd.DataFrame(
+        {"t": t, "v_x": 2 + np.sin(t) + 0.05 * dice.standard_normal(len(t)), "yaw": np.angle(np.exp(1j * t))}
+    )
+    assert noise(Log.from_table("a", table), "v_x") == pytest.approx(0.05, rel=0.05)
+    assert noise(Log.from_table("a", table), "yaw") < 1e-6
+
+
+@pytest.mark.parametrize("rows", [-12, -8, 8, 12])
+@pytest.mark.parametrize("name", ["delta", "delta_ref"])
+def test_a_shifted_steering_channel_is_seen_with_sign_and_size(driven, name, rows):
+    facts = inspect(Log.from_table("drive", moved(driven, name, rows)))
+    own = 0.0 if name == "delta" else 0.044
+    assert facts["lags"][name]["seconds"] == pytest.approx(own - 0.01 * rows, abs=0.02)
+    said = [line for line in facts["warnings"] if line.startswith(f"{name} is")]
+    assert len(said) == (0 if own - 0.01 * rows > -0.035 and rows > 0 else 1)
+    assert all(("behind" if rows > 0 else "ahead") in line for line in said)
+
+
+@pytest.mark.parametrize("rows", [-12, 12])
+def test_a_shifted_wheel_speed_is_seen(driven, rows):
+    said = [line for line in warnings(moved(driven, "omega", rows)) if line.startswith("omega is")]
+    assert len(said) == 1 and ("behind" if rows > 0 else "ahead") in said[0]
+
+
+@pytest.mark.parametrize("rows", [-9, 9])
+def test_a_shifted_current_is_seen(driven, rows):
+    log = Log.from_table("drive", driven)
+    torque = np.concatenate([np.gradient(np.convolve(run["v_x"], np.ones(15) / 15, "same")) for run in log.runs()])
+    table = moved(driven.assign(current=1000 * torque - 10 * driven["v_y"] * driven["yaw_rate"]), "current", rows)
+    said = [line for line in warnings(table) if line.startswith("current is")]
+    assert len(said) == 1 and ("behind" if rows > 0 else "ahead") in said[0]
+
+
+def test_velocities_later_than_their_poses_are_seen(driven):
+    late = driven
+    for name in ("v_x", "v_y", "yaw_rate"):
+        late = moved(late, name, 7)
+    assert any("yaw_rate lags the differentiated yaw by 0.070 s" in line for line in warnings(late))
+
+
+def test_velocities_of_another_point_are_seen(driven):
+    said = warnings(driven.assign(v_y=driven["v_y"] - 0.13 * driven["yaw_rate"]))
+    assert any("0.13 m behind" in line or "0.12 m behind" in line or "0.14 m behind" in line for line in said)
+
+
+TRAPS = {
+    "constant": (lambda t: t.assign(omega_ref=2.0), "omega_ref is constant"),
+    "held": (lambda t: t.assign(omega=np.repeat(t["omega"].to_numpy()[::10], 10)), "omega is held between updates"),
+    "clipped": (lambda t: t.assign(yaw_rate=t["yaw_rate"].clip(-0.8, 0.8)), "yaw_rate is clipped"),
+    "steering sign": (lambda t: t.assign(delta=-t["delta"]), "delta and yaw_rate have opposite signs"),
+    "yaw rate sign": (lambda t: t.assign(yaw_rate=-t["yaw_rate"]), "yaw_rate has the opposite sign"),
+    "wheel sign": (lambda t: t.assign(omega=-t["omega"]), "omega has the opposite sign of v_x"),
+    "wheel in rad/s": (lambda t: t.assign(omega=t["omega"] / 0.055), "rad/s of a small wheel"),
+    "wheel in km/h": (lambda t: t.assign(omega=t["omega"] * 3.6), "km/h for m/s"),
+    "commanded speed": (lambda t: t.assign(omega_ref=t["omega_ref"] * 3.6), "omega_ref is 3.5"),
+    "steering in percent": (lambda t: t.assign(delta=t["delta"] / 10), "times v_x tan"),
+    "v_x in km/h": (lambda t: t.assign(v_x=t["v_x"] * 3.6), "v_x is 3.6"),
+    "yaw rate in degrees": (
+        lambda t: t.assign(yaw_rate=np.degrees(t["yaw_rate"]) / 3),
+        "times the differentiated pose",
+    ),
+    "axes mixed": (lambda t: t.assign(v_x=t["v_y"] + 2, v_y=t["v_x"]), "does not follow the differentiated pose"),
+    "doubled run": (
+        lambda t: pd.concat([t, t[t["run"] == 1].assign(run=9, t=lambda r: r["t"] + 500)]),
+        "20.0 s of driving are in the log twice",
+    ),
+}
+
+
+@pytest.mark.parametrize("trap", TRAPS)
+def test_each_trap_is_seen(driven, trap):
+    spoil, said = TRAPS[trap]
+    found = warnings(spoil(driven))
+    assert any(said in line for line in found), found
+    assert all("\n" not in line for line in found)
+
+
+def test_logs_that_share_driving_are_seen(driven):
+    first, second = (Log.from_table(name, driven[driven["run"] <= k]) for name, k in (("a", 1), ("b", 0)))
+    other = Log.from_table("c", simulate(seed=8, runs=1))
+    assert compare([first, other]) == []
+    assert compare([first, second, other]) == ["a and b share 20.0 s of identical rows; keep one"]
+
+
+@pytest.mark.parametrize(
+    "columns", [["v_x"], ["x", "y"], ["current"], ["delta", "omega"], ["yaw_rate"], ["v_x", "omega"]]
+)
+def test_partial_and_short_logs_are_inspected(driven, columns):
+    table = driven.assign(current=1.0)[["t", "run", *columns]]
+    for rows in (2, 5, 60, 6000):
+        json.dumps(inspect(Log.from_table("drive", table.iloc[:rows])), allow_nan=False)
+
+
+def seen(file: str, name: str, **changes) -> tuple[dict, list[str]]:
+    settings = {**mapping(name), **changes}
+    facts = inspect(load_logs([measured(file)], settings)[0], settings["vehicle"]["wheelbase"])
+    return facts["lags"], facts["warnings"]
+
+
+@pytest.mark.parametrize("file", ["put/tyre_a.csv.gz", "put/tyre_d.csv.gz"])
+def test_put_commands_and_currents_lead_the_motion(file):
+    lags, said = seen(file, "put")
+    assert 0.06 <= lags["delta_ref"]["seconds"] <= 0.11 and 0.08 <= lags["current"]["seconds"] <= 0.11
+    assert sum("another clock" in line for line in said) == 2 == len(said)
+
+
+def test_put_velocities_are_late_and_made_anew_from_the_poses():
+    lags, said = seen("put/lab_drive.csv.gz", "put")
+    assert lags["yaw to yaw_rate"]["seconds"] == pytest.approx(0.07, abs=0.011) and len(said) == 4
+    lags, said = seen("put/lab_drive.csv.gz", "put", velocities="poses")
+    assert abs(lags["delta"]["seconds"]) <= 0.02 and said == []
+
+
+@pytest.mark.parametrize("name", ["free_driving_10_01_01", "free_driving_10_12_05", "throttle_ramp_rubber"])
+def test_dart_values_are_held(name):
+    assert any("omega is held" in line for line in seen(f"dart/{name}.csv.gz", "dart")[1])
+
+
+def test_dart_steering_that_never_moves_is_constant():
+    assert any("delta_ref is constant" in line for line in seen("dart/steering_steps_10_02_32.csv.gz", "dart")[1])
+
+
+def test_the_measured_bag_has_one_clock():
+    lags, said = seen("put/tyre_a_rosbag2.zip", "ros2")
+    assert abs(lags["current"]["seconds"]) <= 0.02 and said == []
+    assert 0.05 <= lags["delta_ref to curvature"]["seconds"] <= 0.09

@@ -1,0 +1,188 @@
+"""Tables through mappings: round trips, units, frames, shifts, gaps; the measured logs; bad files in one line."""
+
+import gzip
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from racerl.data.load import load_logs
+from racerl.errors import LogError
+from tests.data.conftest import mapping, measured
+
+
+def load(path, name="drive_log", **changes):
+    return load_logs([path], {**mapping(name), **changes})[0]
+
+
+def save(table, path):
+    table.to_parquet(path) if path.suffix == ".parquet" else table.to_csv(path, index=False)
+    return path
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.csv.gz", "a.parquet"])
+def test_round_trip(driven, tmp_path, name):
+    log = load(save(driven, tmp_path / name))
+    assert log.name == name and log.remarks == ()
+    pd.testing.assert_frame_equal(log.table[driven.columns], driven, rtol=1e-12, check_dtype=False)
+
+
+def test_units_signs_and_clocks_are_converted(driven, tmp_path):
+    foreign = pd.DataFrame(
+        {"ms": driven["t"] * 1e3 + 1.7e12, "steer": -np.degrees(driven["delta"]), "speed": driven["v_x"] * 3.6}
+    )
+    changes = {
+        "time": {"column": "ms", "scale": 1e-3},
+        "channels": {
+            "delta": {"column": "steer", "scale": -np.pi / 180},
+            "v_x": {"column": "speed", "scale": 1 / 3.6},
+        },
+    }
+    log = load(save(foreign, tmp_path / "a.csv"), **changes)
+    np.testing.assert_allclose(log.array("delta"), driven["delta"], atol=1e-9)
+    np.testing.assert_allclose(log.array("v_x"), driven["v_x"], atol=1e-9)
+    assert len(list(log.runs())) == 3 and log.dt == 0.01 and any("t counts from" in r for r in log.remarks)
+
+
+def test_velocities_come_from_poses_where_absent(driven, tmp_path):
+    log = load(save(driven.drop(columns=["v_x", "v_y", "yaw_rate"]), tmp_path / "a.csv"))
+    assert any("differentiated" in remark for remark in log.remarks)
+    for name in ("v_x", "yaw_rate"):
+        assert np.corrcoef(log.array(name), driven[name])[0, 1] > 0.97
+
+
+def test_a_tracked_point_is_moved_to_the_centre_of_gravity(tmp_path):
+    t = np.arange(0.0, 10.0, 0.01)
+    angle = 0.8 * t
+    # the centre drives a circle of 2 m without slip; the marker sits 0.3 m ahead, 0.1 m left, turned by −0.05 rad
+    yaw = angle + np.pi / 2
+    x, y = 2 * np.cos(angle), 2 * np.sin(angle)
+    marker = pd.DataFrame(
+        {
+            "t": t,
+            "x": x + 0.3 * np.cos(yaw) - 0.1 * np.sin(yaw),
+            "y": y + 0.3 * np.sin(yaw) + 0.1 * np.cos(yaw),
+            "yaw": np.angle(np.exp(1j * (yaw - 0.05))),
+        }
+    )
+    log = load(save(marker, tmp_path / "a.csv"), frame={"forward": 0.3, "left": 0.1, "yaw": 0.05})
+    np.testing.assert_allclose(log.array("x"), x, atol=1e-9)
+    np.testing.assert_allclose(log.array("v_x"), 1.6, atol=1e-3)
+    np.testing.assert_allclose(log.array("v_y"), 0.0, atol=1e-3)
+
+
+def test_a_shift_moves_a_channel_in_time(driven, tmp_path):
+    early = driven.copy()
+    early["omega"] = np.concatenate([early["omega"][7:], np.full(7, early["omega"].iloc[-1])])
+    log = load(save(early, tmp_path / "a.csv"), shift={"omega": 0.07})
+    rows = log.table[log.table["run"] == 0].merge(driven, on=["run", "t"], suffixes=("", "_true"))
+    np.testing.assert_allclose(rows["omega"].iloc[10:-10], rows["omega_true"].iloc[10:-10], atol=1e-9)
+
+
+def test_uneven_samples_are_resampled_and_commands_are_held(tmp_path):
+    dice = np.random.default_rng(1)
+    t = np.cumsum(dice.uniform(0.008, 0.012, 1000))
+    table = pd.DataFrame({"t": t, "v_x": 2 + np.sin(t), "delta_ref": np.floor(t * 4) / 100})
+    log = load(save(table, tmp_path / "a.csv"), run=None, resample=50)
+    assert log.dt == 0.02
+    np.testing.assert_allclose(log.array("v_x"), 2 + np.sin(log.array("t")), atol=1e-4)
+    assert set(np.round(log.array("delta_ref") * 100, 9) % 1) == {0.0}
+
+
+def test_gaps_and_leaps_cut_runs_and_short_ones_are_dropped(tmp_path):
+    t = np.arange(0.0, 10.0, 0.01)
+    table = pd.DataFrame({"t": t, "x": 1.0 * t, "y": 0 * t, "yaw": 0 * t})
+    table.loc[700:, "x"] += 5.0  # the tracker loses the car and finds it elsewhere
+    table = table.drop(index=[*range(200, 260), *range(265, 300)])
+    log = load(save(table, tmp_path / "a.csv"), run=None)
+    assert len(list(log.runs())) == 3
+    assert any("jumps" in r for r in log.remarks) and any("shorter than" in r for r in log.remarks)
+    np.testing.assert_allclose(log.array("v_x"), 1.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("name, size", [("x", 0.3), ("y", -0.05), ("yaw", 0.5)])
+def test_a_spike_in_a_pose_is_replaced(driven, tmp_path, name, size):
+    poses = driven.drop(columns=["v_x", "v_y", "yaw_rate"])
+    whole = load(save(poses, tmp_path / "a.csv"))
+    poses.loc[1000, name] += size
+    log = load(save(poses, tmp_path / "b.csv"))
+    assert any("stuck out" in r for r in log.remarks) and not any("stuck out" in r for r in whole.remarks)
+    np.testing.assert_allclose(log.array("v_x"), whole.array("v_x"), atol=0.1)
+    np.testing.assert_allclose(log.array("yaw_rate"), whole.array("yaw_rate"), atol=0.1)
+
+
+def test_only_required_rows_count(driven, tmp_path):
+    table = driven.assign(safe=(driven["run"] != 1).astype(float))
+    log = load(save(table, tmp_path / "a.csv"), require={"safe": 1})
+    assert set(log.table["run"]) == {0, 2} and "require" in log.remarks[0]
+
+
+@pytest.mark.parametrize(
+    "file, name, rows, runs",
+    [
+        ("put/lab_drive.csv.gz", "put", 13253, 10),
+        ("put/tyre_a.csv.gz", "put", 14867, 7),
+        ("put/tyre_d.csv.gz", "put", 10125, 3),
+        ("dart/free_driving_10_02_28.csv.gz", "dart", 9153, 1),
+        ("dart/steering_steps_10_02_32.csv.gz", "dart", 1406, 2),
+    ],
+)
+def test_measured_logs(file, name, rows, runs):
+    log = load(measured(file), name)
+    assert (len(log.table), log.table["run"].nunique(), log.dt) == (rows, runs, 0.01)
+
+
+def test_dart_drives_where_its_nose_points():
+    """The mapping's frame is right when slip angles are small on straights, and its steering when curves fit."""
+    log = load(measured("dart/free_driving_10_01_01.csv.gz"), "dart")
+    v_x, v_y, r, steer = (log.array(name) for name in ("v_x", "v_y", "yaw_rate", "delta_ref"))
+    straight = (v_x > 0.8) & (np.abs(r) < 0.15)
+    assert abs(np.median(v_y[straight] / v_x[straight])) < 0.005
+    curve = (v_x > 0.5) & (np.abs(steer) > 0.2)
+    assert np.median(np.arctan(0.1735 * r[curve] / v_x[curve]) / steer[curve]) == pytest.approx(1.0, abs=0.15)
+
+
+def test_a_wrong_mapping_names_the_likely_one(driven, tmp_path):
+    with pytest.raises(LogError, match="looks like data=drive_log"):
+        load(save(driven, tmp_path / "a.csv"), "dart")
+    foreign = driven.rename(columns={"t": "vicon time", "x": "vicon x", "y": "vicon y", "yaw": "vicon yaw"})
+    with pytest.raises(LogError, match="looks like data=dart"):
+        load(save(foreign, tmp_path / "b.csv"))
+    with pytest.raises(LogError, match="write a mapping"):
+        load(save(driven.add_prefix("my_"), tmp_path / "c.csv"))
+    with pytest.raises(LogError, match="is no bag"):
+        load(tmp_path / "a.csv", "ros2")
+
+
+@pytest.mark.parametrize(
+    "name, content, said",
+    [
+        ("a.csv", b"", "cannot be read"),
+        ("a.csv", b"t,v_x\n", "0 rows"),
+        ("a.csv", b"\x00\x01\x02" * 50, "zero bytes|no text|cannot be read"),
+        ("a.csv", b"t,v_x\n0,1\n0.01,1\n0.02,x\n", "not numeric"),
+        ("a.csv", b"t,v_x\n0,1,5\n0.01,1,2\n", "cannot be read"),
+        ("a.csv", b"t," + b"a," * 5000 + b"\n", "no header"),
+        ("a.csv.gz", b"no gzip", "cannot be read"),
+        ("a.csv.gz", gzip.compress(b"t,v_x\n" + b"0,1\n" * 1000)[:-20], "cannot be read"),
+        ("a.parquet", b"PAR1nonsensePAR1", "cannot be read"),
+        ("a.txt", b"t,v_x\n0,1\n", "is no log"),
+    ],
+)
+def test_bad_files_are_one_line(tmp_path, name, content, said):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(LogError, match=said) as error:
+        load(tmp_path / name)
+    assert "\n" not in str(error.value)
+
+
+def test_a_gzip_bomb_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr("racerl.data.load.MAX_BYTES", 1_000_000)
+    (tmp_path / "a.csv.gz").write_bytes(gzip.compress(b"t,v_x\n" + b"0,1\n" * 1_000_000))
+    with pytest.raises(LogError, match="when unpacked"):
+        load(tmp_path / "a.csv.gz")
+
+
+def test_a_missing_file_is_one_line(tmp_path):
+    with pytest.raises(LogError, match="no such file"):
+        load(tmp_path / "a.csv")
