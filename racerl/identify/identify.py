@@ -36,8 +36,8 @@ from racerl.identify.unknowns import Unknowns, choose_unknowns
 from racerl.identify.windows import INPUTS, Cut, Layout, channel_scale, choose_layout, cut
 from racerl.run import RunFolder
 from racerl.vehicle.load import load_vehicle
-from racerl.vehicle.parameter import values
-from racerl.vehicle.rollout import Rollout
+from racerl.vehicle.parameter import replace_values, values
+from racerl.vehicle.rollout import Rollout, fastest_rate
 from racerl.vehicle.vehicle import STATE
 
 Array = NDArray[np.float64]
@@ -48,6 +48,7 @@ START_SPREAD = 0.7  # of the priors' deviations, of the further starts
 OVERLAY_ROLLOUTS = 6
 MOST_SCORED = 5000  # rollouts
 DRAWS = 200  # of the parameters, for the tyre curves' band
+STABLE = 2.5  # largest step × rate
 FAR = 3.0  # deviations of its prior, beyond which a value is worth a remark
 
 
@@ -98,7 +99,7 @@ def identify(
     configured = load_vehicle(settings["vehicle"])
     vehicle = layout.driven(configured)
     unknowns = choose_unknowns(vehicle, settings["priors"], settings["hold"], configured) if settings["fit"] else None
-    rollout = Rollout(vehicle, unknowns.names if unknowns else (), layout.observed)
+    rollout = Rollout(vehicle, unknowns.names if unknowns else (), layout.observed, settings["step"])
     # all that can be refused is refused before anything is written
     scored = Scored(rollout, layout, logs, settings)
     task = _task(settings, rollout, unknowns, layout, logs) if unknowns else None
@@ -127,6 +128,7 @@ def identify(
         facts |= _result(task, solution, uncertainty)
         facts["warnings"] = [*warnings, *_fit_warnings(facts)]
         write_model(folder.path / MODEL, settings["vehicle"], dict(zip(rollout.names, theta, strict=True)), facts)
+    facts["warnings"] += _stiffness_warnings(rollout, theta, scored)
     facts["residuals"] = {"unfitted": scored.histogram(start), "fitted": scored.histogram(theta)}
     write_bytes(folder.path / OVERLAY, _parquet(scored.overlay(start, theta)))
     write_bytes(folder.path / TYRES, _parquet(tyre_curves(vehicle, rollout.names, theta, draws)))
@@ -145,9 +147,10 @@ def _check(settings: Mapping[str, Any]) -> None:
         raise ConfigError(f"inputs = {settings['inputs']}: allowed is {', '.join(INPUTS)}")
     if not isinstance(settings["fit"], bool):
         raise ConfigError(f"fit = {settings['fit']}: allowed is true or false")
-    slowest = settings["slowest"]
-    if isinstance(slowest, bool) or not isinstance(slowest, (int, float)) or not 0 <= slowest < 50:
-        raise ConfigError(f"slowest = {slowest}: allowed is 0 … 50 m/s")
+    for key, (lowest, highest, unit) in {"slowest": (0.0, 50.0, "m/s"), "step": (1e-4, 0.1, "s")}.items():
+        number = settings[key]
+        if isinstance(number, bool) or not isinstance(number, (int, float)) or not lowest <= number <= highest:
+            raise ConfigError(f"{key} = {number}: allowed is {lowest:g} … {highest:g} {unit}")
 
 
 def _task(
@@ -245,6 +248,16 @@ def _fit_warnings(facts: Mapping[str, Any]) -> list[str]:
     if not facts["method"]["converged"]:
         warnings.append("the fit has not converged; allow more method.iterations")
     return warnings
+
+
+def _stiffness_warnings(rollout: Rollout, theta: Array, scored: "Scored") -> list[str]:
+    """Return a line when the integration step is too long for the car at the log's slowest."""
+    car = replace_values(rollout.vehicle, dict(zip(rollout.names, theta, strict=True)))
+    _, h = rollout.steps(scored.cut.windows.dt)
+    rate = fastest_rate(car, scored.cut.windows.initial)
+    if rate * h < STABLE:
+        return []
+    return [f"the car is too stiff for steps of {h:g} s at its slowest in this log; give step={STABLE / rate:.1g}"]
 
 
 def _hold_out(

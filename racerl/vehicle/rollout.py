@@ -31,7 +31,7 @@ from racerl.vehicle.codegen import PRECISIONS, build, statements
 from racerl.vehicle.integrate import rk4
 from racerl.vehicle.ops import TORCH, CasadiOps
 from racerl.vehicle.parameter import replace_values, values
-from racerl.vehicle.vehicle import Vehicle
+from racerl.vehicle.vehicle import STATE, Vehicle
 
 Array = NDArray[np.float64]
 LANES = 8
@@ -319,6 +319,17 @@ def _linearisation(vehicle: Vehicle, names: Sequence[str]) -> tuple[Any, Any, An
     car = replace_values(vehicle, dict(zip(names, ops.unstack(p) if names else [], strict=True)))
     f = car.derivative(x, u, ops)
     return x, u, p, f, casadi.jacobian(f, x), casadi.jacobian(f, p)
+
+
+def fastest_rate(vehicle: Vehicle, states: Array) -> float:
+    """Return the largest |eigenvalue| of ∂f/∂x over given states (S, N), in 1/s; RK4 is stable while h·|λ| < 2.7."""
+    import casadi
+
+    x, u, p, _, f_x, _ = _linearisation(vehicle, [])
+    jacobian = casadi.Function("jacobian", [x, u, p], [f_x]).map(states.shape[1])
+    blocks = np.asarray(jacobian(states, states[[STATE.index("delta"), STATE.index("omega")]], []))
+    square = blocks.reshape(len(states), states.shape[1], len(states)).transpose(1, 0, 2)
+    return float(np.abs(np.linalg.eigvals(square)).max())
 
 
 def _active(vehicle: Vehicle, observed: Sequence[str]) -> list[str]:

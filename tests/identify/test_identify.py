@@ -118,6 +118,14 @@ def test_a_single_run_is_held_out_in_stretches(hidden, tmp_path):
     assert "neighbours in time" in facts["held_out"] and facts["rmse"]["85"]["v_x"] is not None
 
 
+def test_a_step_too_long_for_the_car_is_seen(hidden, tmp_path):
+    words = [f"logs=['{hidden}/log.parquet']", "fit=false", "vehicle=published", "vehicle.rear.p_Ky1=60"]
+    facts = identify(compose_settings("identify", words), tmp_path / "out")
+    assert any("too stiff" in warning and "step=0.00" in warning for warning in facts["warnings"])
+    facts = identify(compose_settings("identify", [*words, "step=0.0005"]), tmp_path / "fine")
+    assert not any("too stiff" in warning for warning in facts["warnings"])
+
+
 def straight(hidden: Path) -> pd.DataFrame:
     """A log in which the car stands still."""
     log = pd.read_parquet(hidden / "log.parquet").head(2000)
@@ -162,6 +170,7 @@ def test_no_excitation(hidden, tmp_path):
         ("window=1000000", "window"),
         ("inputs=guess", "auto, commands, measured"),
         ("starts=0", "starts"),
+        ("step=0", "step = 0: allowed"),
         ("priors.mass=heavy", "priors.mass"),
         ("+priors.masss=0.1", "did you mean mass"),
         ("hold=[nothing]", "no parameter"),

@@ -21,7 +21,7 @@ DAMPING_LIMIT = 1e8
 class GaussNewton:
     """Levenberg–Marquardt on the normal equations."""
 
-    iterations: int = 60
+    iterations: int = 100
     tolerance: float = 1e-6  # relative gain of a step below which the fit has converged
     damping: float = 1e-2
 
