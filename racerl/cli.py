@@ -20,6 +20,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+PAIRS = 12  # named on the terminal; the page names all
 HYDRA = {"allow_extra_args": True, "ignore_unknown_options": True}
 
 
@@ -246,7 +247,9 @@ def _print_identification(console: Any, facts: dict[str, Any]) -> None:
     console.print(table)
     pairs = [" and ".join(pair["parameters"]) for pair in facts["not_separable"]]
     if pairs:
-        console.print(f"not separable (correlation above 0.95): {'; '.join(pairs)}", highlight=False, markup=False)
+        more = f"; and {len(pairs) - PAIRS} more pairs" if len(pairs) > PAIRS else ""
+        shown = f"{'; '.join(pairs[:PAIRS])}{more}"
+        console.print(f"not separable (correlation above 0.95): {shown}", highlight=False, markup=False)
 
 
 def _print_metrics(console: Any, metrics: dict[str, Any]) -> None:

@@ -10,8 +10,6 @@ import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -21,12 +19,14 @@ from numpy.typing import NDArray
 
 from racerl import registry
 from racerl.assemble import use_threads
+from racerl.data.inspect import inspect
 from racerl.data.load import load_given
 from racerl.data.log import Log, separate
 from racerl.documents import write_bytes, write_json
 from racerl.errors import ConfigError, LogError
 from racerl.identify import methods as methods_package
 from racerl.identify.document import write_model
+from racerl.identify.folds import deal
 from racerl.identify.methods import Fit, Method
 from racerl.identify.objective import Objective, independent_residuals
 from racerl.identify.score import START_EVERY, ErrorSum, Table, held_errors, horizons_within, rollout_errors
@@ -94,9 +94,11 @@ def identify(
     _check(settings)
     use_threads(settings["threads"])
     began = time.perf_counter()
-    logs, warnings = separate(load_given(settings))
-    layout = choose_layout(logs, settings["inputs"])
     configured = load_vehicle(settings["vehicle"])
+    logs, warnings = separate(load_given(settings))
+    for log in logs:
+        warnings += [f"{log.name}: {warning}" for warning in inspect(log, float(configured.wheelbase))["warnings"]]
+    layout = choose_layout(logs, settings["inputs"])
     vehicle = layout.driven(configured)
     unknowns = choose_unknowns(vehicle, settings["priors"], settings["hold"], configured) if settings["fit"] else None
     rollout = Rollout(vehicle, unknowns.names if unknowns else (), layout.observed, settings["step"])
@@ -138,11 +140,13 @@ def identify(
 
 
 def _check(settings: Mapping[str, Any]) -> None:
-    whole = {"window": (2, 10_000), "starts": (1, 100), "folds": (0, 1000), "seed": (0, 2**31)}
+    whole = {"window": (2, 10_000), "starts": (1, 100), "folds": (0, 100), "seed": (0, 2**31)}
     for key, (low, high) in whole.items():
         value = settings[key]
         if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
             raise ConfigError(f"{key} = {value}: allowed is a whole number, {low} … {high}")
+    if settings["folds"] == 1:
+        raise ConfigError("folds = 1: allowed is 0 (nothing is held out) or 2 … 100")
     if settings["inputs"] not in INPUTS:
         raise ConfigError(f"inputs = {settings['inputs']}: allowed is {', '.join(INPUTS)}")
     if not isinstance(settings["fit"], bool):
@@ -264,11 +268,12 @@ def _hold_out(
     task: Task, scored: "Scored", settings: Mapping[str, Any], on_share: Callable[[float], None]
 ) -> dict[str, Any]:
     """Return the errors in runs that the fit has not seen: each run is held out once."""
-    folds = deal_folds(scored.cut, min(settings["folds"], scored.cut.windows.count))
+    if not settings["folds"]:
+        return {"rmse": None, "held_out": "nothing"}
+    folds, how = deal(scored.cut, settings["folds"])
     total = ErrorSum(scored.rollout.observed, scored.horizons)
-    for number, held in enumerate(folds):
-        seen = np.flatnonzero(~held(task.cut))
-        unseen = np.flatnonzero(held(scored.cut))
+    for number, fold in enumerate(folds):
+        seen, unseen = np.flatnonzero(fold.seen(task.cut)), np.flatnonzero(fold.unseen(scored.cut))
         if not len(seen) or not len(unseen):
             continue
 
@@ -278,9 +283,8 @@ def _hold_out(
         fitted = _solve(task, seen, {**settings, "starts": 1}, on_fold)
         total.add(scored.rollout_errors(fitted.fit.point.theta, unseen))
     if not total.count:
-        return {"rmse": None, "held_out": "nothing"}
-    by = "runs" if len(np.unique(scored.cut.run)) > 1 else "stretches of the one run, which are neighbours in time"
-    return {"rmse": total.rmse(), "held_out": f"{by}, in {len(folds)} folds"}
+        return {"rmse": None, "held_out": "nothing: the log is too short to be parted"}
+    return {"rmse": total.rmse(), "held_out": how}
 
 
 class Scored:
@@ -360,27 +364,6 @@ class Scored:
             ],
             ignore_index=True,
         )
-
-
-def deal_folds(cut_: Cut, folds: int) -> list[Callable[[Cut], NDArray[np.bool_]]]:
-    """Return, for each fold, which windows of a cut it holds out: whole runs, dealt by length.
-
-    One single run is held out in stretches.
-    """
-    runs, counts = np.unique(cut_.run, return_counts=True)
-    if len(runs) > 1:
-        order = runs[np.argsort(-counts, kind="stable")]
-        return [partial(_in_runs, order[fold::folds]) for fold in range(min(folds, len(runs)))]
-    edges = np.linspace(0, cut_.start.max() + 1, folds + 1)
-    return [partial(_between, low, high) for low, high in pairwise(edges)]
-
-
-def _in_runs(runs: NDArray[np.int64], cut_: Cut) -> NDArray[np.bool_]:
-    return np.isin(cut_.run, runs)
-
-
-def _between(low: float, high: float, cut_: Cut) -> NDArray[np.bool_]:
-    return (cut_.start >= low) & (cut_.start < high)
 
 
 def _snake(name: str) -> str:

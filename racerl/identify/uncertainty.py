@@ -41,7 +41,7 @@ def estimate(fit: Fit, objective: Objective, runs: NDArray[np.int64], independen
     bound = (fit.point.theta <= unknowns.low) | (fit.point.theta >= unknowns.high)
 
     information = H.sum(axis=0)
-    covariance = at.data / independent * np.linalg.pinv(_ridged(information), hermitian=True)
+    covariance = at.data / independent * _inverse(information)
     deviation = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
 
     blocks = _blocks(runs)
@@ -54,7 +54,7 @@ def estimate(fit: Fit, objective: Objective, runs: NDArray[np.int64], independen
         A = np.tensordot(count, H_b, 1) + objective.penalty * np.eye(len(scale))
         b = count @ g_b + objective.penalty * distance
         step = np.zeros(len(scale))
-        step[free] = -np.linalg.solve(_ridged(A[np.ix_(free, free)]), b[free])
+        step[free] = -_inverse(A[np.ix_(free, free)]) @ b[free]
         draws[i] = unknowns.clip(fit.point.theta + step * scale)
     return Uncertainty(
         draws,
@@ -63,8 +63,11 @@ def estimate(fit: Fit, objective: Objective, runs: NDArray[np.int64], independen
     )
 
 
-def _ridged(matrix: Array) -> Array:
-    return matrix + 1e-12 * np.trace(matrix) / len(matrix) * np.eye(len(matrix))
+def _inverse(matrix: Array) -> Array:
+    """Return the inverse of a symmetric positive matrix of any scaling; what it does not determine comes out large."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    inverse: Array = np.linalg.inv(matrix * np.outer(scale, scale) + 1e-13 * np.eye(len(matrix)))
+    return inverse * np.outer(scale, scale)
 
 
 def _blocks(runs: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -115,7 +115,7 @@ def test_a_single_run_is_held_out_in_stretches(hidden, tmp_path):
     log = pd.read_parquet(hidden / "log.parquet")
     log[log["run"] == 1].to_parquet(tmp_path / "log.parquet")
     facts = identify(settings_for(tmp_path / "log.parquet"), tmp_path / "out")
-    assert "neighbours in time" in facts["held_out"] and facts["rmse"]["85"]["v_x"] is not None
+    assert "stretches" in facts["held_out"] and facts["rmse"]["85"]["v_x"] is not None
 
 
 def test_a_step_too_long_for_the_car_is_seen(hidden, tmp_path):
@@ -170,6 +170,7 @@ def test_no_excitation(hidden, tmp_path):
         ("window=1000000", "window"),
         ("inputs=guess", "auto, commands, measured"),
         ("starts=0", "starts"),
+        ("folds=1", "folds = 1"),
         ("step=0", "step = 0: allowed"),
         ("priors.mass=heavy", "priors.mass"),
         ("+priors.masss=0.1", "did you mean mass"),

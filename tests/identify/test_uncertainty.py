@@ -63,6 +63,17 @@ def test_twins_are_named_not_separable():
     assert table["c"]["identified"] and table["c"]["not_separable_from"] == []
 
 
+def test_what_the_data_do_not_touch_is_wide_open_whatever_the_scale():
+    def design(generator, count):
+        J = generator.standard_normal((count, 5, 3)) * np.array([1e6, 1.0, 0.0])
+        J[:, 0, 2] = 1e-9
+        return J
+
+    fit, objective, independent = linear_fit(2, design)
+    half_width = estimate(fit, objective, np.arange(120), independent, 0).half_width
+    assert half_width[0] < 1e-6 < half_width[1] < 1.0 < 1e3 < half_width[2]
+
+
 def test_scores_by_hand():
     measured = np.array([[[1.0]], [[2.0]], [[4.0]]])  # one channel, one window, three samples
     total = ErrorSum(["v_x"], [1, 2])
