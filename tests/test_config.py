@@ -85,7 +85,7 @@ def test_groups_are_read_from_the_command():
 
 def test_files_stand_for_tracks_and_vehicles(tmp_path, monkeypatch):
     (tmp_path / "my track's.csv").write_text((CONF / "track" / "l_shape.csv").read_text())
-    (tmp_path / "model.yaml").write_text((CONF / "vehicle" / "f1tenth.yaml").read_text().replace("5.1 ", "4.4 "))
+    (tmp_path / "model.yaml").write_text((CONF / "vehicle" / "f1tenth.yaml").read_text().replace("mass: 5.1", "mass: 4.4"))
     monkeypatch.chdir(tmp_path)
     settings = compose_settings("train", ["track=my track's.csv", f"vehicle={tmp_path}/model.yaml"])
     race = build_race(settings, cars=1, seeds=[0])

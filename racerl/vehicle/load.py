@@ -30,7 +30,7 @@ def load_vehicle(settings: Mapping[str, Any], drive: str = "wheel_speed", actuat
     parts: dict[str, Any] = {}
     for name, cls in COMPONENTS.items():
         if name not in settings:
-            raise VehicleError(f"vehicle: section '{name}' is missing; copy it from conf/vehicle/f1tenth.yaml")
+            raise VehicleError(f"vehicle: section '{name}' is missing; copy it from conf/vehicle/published.yaml")
         parts[name] = build(cls, settings[name], f"vehicle.{name}")
     body = {key: value for key, value in settings.items() if key not in COMPONENTS and key != "effects"}
     vehicle = Vehicle(

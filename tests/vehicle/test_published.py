@@ -1,4 +1,4 @@
-"""The default car's tyres against the published curves that they were fitted to."""
+"""The published car's tyres against the published curves that they were fitted to."""
 
 import math
 
@@ -37,7 +37,7 @@ def published_forces(axle, kappa, alpha):
     ],
 )
 def test_tyre_follows_the_published_curves(axle, most_x, most_y, rms_x, rms_y):
-    car = make_car()
+    car = make_car("vehicle=published")
     tyre = getattr(car, axle)
     misfit = np.array(
         [
@@ -54,7 +54,7 @@ def test_tyre_follows_the_published_curves(axle, most_x, most_y, rms_x, rms_y):
 
 
 def test_nominal_loads_are_the_static_loads():
-    car = make_car()
+    car = make_car("vehicle=published")
     weight = car.mass * 9.81
     assert car.front.F_z0 == pytest.approx(weight * car.l_r / car.wheelbase, abs=0.01)
     assert car.rear.F_z0 == pytest.approx(weight * car.l_f / car.wheelbase, abs=0.01)
