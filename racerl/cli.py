@@ -52,6 +52,10 @@ Runs = Annotated[
 ]
 
 
+Benchmarks = Annotated[
+    list[str] | None,
+    typer.Argument(metavar="BENCHMARK [KEY=VALUE]...", autocompletion=_complete, show_default=False),
+]
 Logs = Annotated[
     list[str] | None,
     typer.Argument(metavar="LOG... [KEY=VALUE]...", autocompletion=_complete, show_default=False),
@@ -129,6 +133,15 @@ def identify(arguments: Logs = None) -> None:
     report.html. fit=false only scores the vehicle.
     """
     _run("identify", arguments, _identify, positional="logs")
+
+
+@app.command(context_settings=HYDRA)
+def bench(arguments: Benchmarks = None) -> None:
+    """Measure how fast racerl is on this machine: racerl bench identify
+
+    Writes bench.json: seconds and ratios taken in one run, with threads, CPU and git sha.
+    """
+    _run("bench", arguments, _bench, positional="benchmark")
 
 
 def _run(
@@ -226,6 +239,18 @@ def _identify(settings: "Settings", out: Path) -> None:
         lines.append(f"vehicle in {out / MODEL}; drive it with: racerl train vehicle={out / MODEL}")
     for line in [*lines, f"report in {page}"]:
         console.print(line, highlight=False, soft_wrap=True, markup=False)
+
+
+def _bench(settings: "Settings", out: Path) -> None:
+    from racerl.bench.bench import RESULT, bench
+    from racerl.config import compose_settings
+    from racerl.console import Bar
+
+    console = _console()
+    with Bar(console, "bench") as bar:
+        facts = bench(settings, out, compose_settings, bar.show)
+    console.print_json(data=facts)
+    console.print(f"numbers in {out / RESULT}", highlight=False, soft_wrap=True)
 
 
 def _print_identification(console: Any, facts: dict[str, Any]) -> None:

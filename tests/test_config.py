@@ -2,9 +2,11 @@
 
 import pytest
 
+from racerl import registry
 from racerl.assemble import build_race
 from racerl.config import compose_settings, default_groups, make_env, run_command
 from racerl.errors import ConfigError, RacerlError
+from racerl.identify import methods
 from racerl.record.drivers import create_driver
 from racerl.registry import construct
 from racerl.train.ppo import Budget
@@ -28,9 +30,15 @@ def test_no_file_is_left_out():
         "evaluate.yaml",
         "record.yaml",
         "report.yaml",
+        "bench.yaml",
         "data.yaml",
         "identify.yaml",
-        *(f"{group}/{path.name}" for group in ("drive", "method") for path in (CONF / group).glob("*.yaml")),
+        # composed below, each with its command
+        *(
+            f"{group}/{path.name}"
+            for group in ("benchmark", "drive", "method")
+            for path in (CONF / group).glob("*.yaml")
+        ),
         "track/file.yaml",
         "vehicle/file.yaml",
         "car/model.yaml",
@@ -68,6 +76,12 @@ def test_every_command_composes(command, words):
     assert settings["out"].startswith(f"outputs/{command}/")
 
 
+@pytest.mark.parametrize("path", sorted((CONF / "method").glob("*.yaml")), ids=lambda path: path.stem)
+def test_every_method_composes_and_builds(path):
+    settings = compose_settings("identify", ["logs=[x]", f"method={path.stem}"])
+    assert registry.create(methods, settings["method"]).iterations > 0
+
+
 @pytest.mark.parametrize("name", [path.stem for path in sorted((CONF / "drive").glob("*.yaml"))])
 def test_every_drive_composes_and_builds(name):
     settings = compose_settings("record", [f"drive={name}"])
@@ -85,7 +99,9 @@ def test_groups_are_read_from_the_command():
 
 def test_files_stand_for_tracks_and_vehicles(tmp_path, monkeypatch):
     (tmp_path / "my track's.csv").write_text((CONF / "track" / "l_shape.csv").read_text())
-    (tmp_path / "model.yaml").write_text((CONF / "vehicle" / "f1tenth.yaml").read_text().replace("mass: 5.1", "mass: 4.4"))
+    (tmp_path / "model.yaml").write_text(
+        (CONF / "vehicle" / "f1tenth.yaml").read_text().replace("mass: 5.1", "mass: 4.4")
+    )
     monkeypatch.chdir(tmp_path)
     settings = compose_settings("train", ["track=my track's.csv", f"vehicle={tmp_path}/model.yaml"])
     race = build_race(settings, cars=1, seeds=[0])

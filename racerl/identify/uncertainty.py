@@ -66,8 +66,9 @@ def estimate(fit: Fit, objective: Objective, runs: NDArray[np.int64], independen
 def _inverse(matrix: Array) -> Array:
     """Return the inverse of a symmetric positive matrix of any scaling; what it does not determine comes out large."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    inverse: Array = np.linalg.inv(matrix * np.outer(scale, scale) + 1e-13 * np.eye(len(matrix)))
-    return inverse * np.outer(scale, scale)
+    inverse = np.linalg.inv(matrix * np.outer(scale, scale) + 1e-13 * np.eye(len(matrix)))
+    rescaled: Array = inverse * np.outer(scale, scale)
+    return rescaled
 
 
 def _blocks(runs: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -9,10 +9,10 @@ from racerl.data.differentiate import velocities
 from racerl.data.log import Log
 from racerl.documents import read_yaml
 from racerl.errors import RacerlError, RunError
-from racerl.record.hidden import Hidden, vehicle_document
+from racerl.record.hidden import Hidden
 from racerl.record.record import VEHICLE, record
 from racerl.record.sensors import Sensors
-from racerl.vehicle.load import load_vehicle
+from racerl.vehicle.load import load_vehicle, vehicle_document
 from racerl.vehicle.parameter import values
 from tests.record.conftest import drive
 

@@ -1,0 +1,14 @@
+"""Benchmarks, one file each; module `identify` holds the class `Identify`. Ratios are taken in one run."""
+
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
+
+Progress = Callable[[float, str], None]
+Compose = Callable[[str, Sequence[str]], dict[str, Any]]  # settings of another stage, from its name and overrides
+
+
+class Benchmark(Protocol):
+    """Measures and returns plain numbers; `on_progress(share, what)` hears how far it is."""
+
+    def measure(self, compose: Compose, threads: int, on_progress: Progress) -> dict[str, Any]:
+        """Return what was measured."""
