@@ -18,7 +18,7 @@ from racerl.record.line import Line
 class HumanLike(Race):
     """The race driver's settings, tamer, and those of the hand."""
 
-    share: float = 0.55
+    share: float = 0.4
     margin: float = 0.3  # m
     preview: float = 0.35  # m
     preview_time: float = 0.15  # s

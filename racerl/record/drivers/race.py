@@ -21,7 +21,7 @@ SLOW = 0.6  # m/s
 class Race:
     """Settings of the laps."""
 
-    share: float = 0.9  # of the grip that is used
+    share: float = 0.8  # of the grip that is used
     margin: float = 0.12  # m between the line and the track's edges
     preview: float = 0.25  # m, and
     preview_time: float = 0.1  # s, how far ahead the car steers for
