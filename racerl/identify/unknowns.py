@@ -16,6 +16,9 @@ from racerl.vehicle.vehicle import Vehicle
 Array = NDArray[np.float64]
 
 
+EFFECTS = "effects.*"  # a pattern that may find none
+
+
 @dataclass(frozen=True)
 class Unknowns:
     """Free parameters θ in a fixed order; a prior is normal with the mean `start` and the deviation `sigma`."""
@@ -47,7 +50,7 @@ def choose_unknowns(vehicle: Vehicle, priors: Mapping[str, Any], hold: Sequence[
     table = {name: float(value) for name, value in values(vehicle).items()}
     priors = dict(_flat(priors))
     for pattern in [*priors, *hold]:
-        if not fnmatch.filter(values(configured), pattern):
+        if not fnmatch.filter(values(configured), pattern) and pattern != EFFECTS:
             raise ConfigError(f"no parameter of the vehicle fits '{pattern}'{suggest(pattern, values(configured))}")
     sigma: dict[str, float] = {}
     for pattern, width in priors.items():

@@ -38,6 +38,12 @@ def test_actuators_that_are_inputs_have_no_parameters():
     assert choose({"*.time_constant": 0.5}, car=driven).names == ("drive.time_constant",)
 
 
+def test_an_effect_brings_its_parameters():
+    car = make_car("+vehicle/effect=tyre_relaxation")
+    assert choose_unknowns(car, {"effects.*": 0.5}, [], car).names == ("effects.tyre_relaxation.length",)
+    assert choose({"effects.*": 0.5, "l_f": 0.1}).names == ("l_f",)
+
+
 def test_draws_respect_the_bounds():
     unknowns = choose({"front.r_Ex1": {"absolute": 100.0}})
     draws = np.array([unknowns.draw(np.random.default_rng(seed), 1.0)[0] for seed in range(50)])
