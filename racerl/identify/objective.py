@@ -69,7 +69,6 @@ class Objective:
         self.windows = replace(windows, weight=np.repeat(share[:, None], windows.count, axis=1))
         self.rollout, self.unknowns, self.penalty, self.threads = rollout, unknowns, penalty, threads
         self.active = [rollout.vehicle.states.index(name) for name in rollout.active]
-        self.evaluations = 0
 
     def start(self, theta: Array) -> Point:
         """Return the point with these parameters and the measured initial states."""
@@ -81,7 +80,6 @@ class Objective:
 
     def linearise(self, point: Point) -> Linearised:
         """Return cost, gradients and the Gauss–Newton matrices at a point; an unstable rollout costs infinity."""
-        self.evaluations += 1
         windows = replace(self.windows, initial=point.initial)
         with np.errstate(all="ignore"):
             equations = self.rollout.accumulate(point.theta, windows, self.threads)

@@ -29,12 +29,11 @@ class ErrorSum:
 
     def add(self, errors: Array) -> None:
         """Add the errors (T + 1, C, W) of rollouts; the first sample, the start itself, does not count."""
-        finite = np.isfinite(errors).all(axis=(0, 1))
-        self.total += (np.where(finite, errors, np.inf)[1:] ** 2).sum(axis=2)
+        self.total += (np.where(np.isfinite(errors), errors, np.inf)[1:] ** 2).sum(axis=2)
         self.count += errors.shape[2]
 
     def rmse(self) -> Table:
-        """Return {horizon: {channel: RMSE}} in the channels' units; None when a rollout diverged."""
+        """Return {horizon: {channel: RMSE}} in the channels' units; None where a rollout diverged."""
         table: Table = {}
         for horizon in self.horizons:
             mean = self.total[:horizon].mean(axis=0) / max(self.count, 1)

@@ -1,8 +1,9 @@
 """What the data say about each parameter: intervals by block bootstrap, and what can't be told apart.
 
 Each block (a run, or a stretch of one when runs are few) contributes its own gradient and curvature at the optimum; a
-resample of the blocks moves the optimum by one Gauss–Newton step. Separability is judged from the data alone, without
-the priors: by the width of the interval and by the correlations of the estimates.
+resample of the blocks, and of the priors' means, moves the optimum by one Gauss–Newton step. With fewer than a handful
+of blocks the curvature alone sets the width. Separability is judged from the data without the priors: by the width of
+the interval and by the correlations of the estimates.
 """
 
 from dataclasses import dataclass
@@ -13,11 +14,13 @@ from numpy.typing import NDArray
 
 from racerl.identify.methods import Fit
 from racerl.identify.objective import Objective
+from racerl.identify.windows import Cut
 
 Array = NDArray[np.float64]
 
 RESAMPLES = 1000
-FEWEST_BLOCKS = 20
+ENOUGH_RUNS = 20  # to resample whole runs
+FEWEST_BLOCKS = 8  # to resample anything
 CORRELATION = 0.95  # above which two parameters are named as not separable
 IDENTIFIED = 0.05  # largest half-width of the 95 % interval, relative to the value, of an identified parameter
 
@@ -31,52 +34,66 @@ class Uncertainty:
     correlation: Array
 
 
-def estimate(fit: Fit, objective: Objective, runs: NDArray[np.int64], independent: float, seed: int) -> Uncertainty:
-    """Return the uncertainty of a fit; `runs` (W,) says which run each window lies in."""
+def estimate(fit: Fit, objective: Objective, cut: Cut, independent: float, seed: int) -> Uncertainty:
+    """Return the uncertainty of a fit to the windows of a cut, which are worth so many independent residuals."""
     unknowns, at = objective.unknowns, fit.linearised
     H, g = at.reduced()
     scale = unknowns.sigma
     H, g = H * np.outer(scale, scale), g * scale
-    distance = (fit.point.theta - unknowns.start) / scale
-    bound = (fit.point.theta <= unknowns.low) | (fit.point.theta >= unknowns.high)
-
-    information = H.sum(axis=0)
-    covariance = at.data / independent * _inverse(information)
+    noise = at.data / independent
+    covariance = noise * _inverse(H.sum(axis=0))
     deviation = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
 
-    blocks = _blocks(runs)
-    H_b, g_b = _sum_by(H, blocks), _sum_by(g, blocks)
     generator = np.random.default_rng(seed)
-    draws = np.empty((RESAMPLES, len(scale)))
-    free = ~bound
-    for i in range(RESAMPLES):
-        count = np.bincount(generator.integers(len(H_b), size=len(H_b)), minlength=len(H_b))
-        A = np.tensordot(count, H_b, 1) + objective.penalty * np.eye(len(scale))
-        b = count @ g_b + objective.penalty * distance
-        step = np.zeros(len(scale))
-        step[free] = -_inverse(A[np.ix_(free, free)]) @ b[free]
-        draws[i] = unknowns.clip(fit.point.theta + step * scale)
+    block = _blocks(cut)
+    H_b, g_b = _sum_by(H, block), _sum_by(g, block)
+    distance = (fit.point.theta - unknowns.start) / scale
+    steps = (
+        _resample(H_b, g_b, objective.penalty, distance, generator)
+        if len(H_b) >= FEWEST_BLOCKS
+        else _normal(noise * _inverse(H.sum(axis=0) + objective.penalty * np.eye(len(scale))), generator)
+    )
     return Uncertainty(
-        draws,
+        unknowns.clip(fit.point.theta + steps * scale),
         1.96 * deviation * scale,
         covariance / np.outer(deviation, deviation),
     )
 
 
+def _resample(H: Array, g: Array, penalty: float, distance: Array, generator: np.random.Generator) -> Array:
+    """Return the optimum's moves (K, P) over resampled blocks; λ is the variance that the priors' means are given."""
+    steps = np.empty((RESAMPLES, len(distance)))
+    for i in range(RESAMPLES):
+        count = np.bincount(generator.integers(len(H), size=len(H)), minlength=len(H))
+        A = np.tensordot(count, H, 1) + penalty * np.eye(len(distance))
+        b = count @ g + penalty * (distance + generator.standard_normal(len(distance)))
+        steps[i] = -_inverse(A) @ b
+    return steps
+
+
+def _normal(covariance: Array, generator: np.random.Generator) -> Array:
+    values, vectors = np.linalg.eigh(covariance)
+    return generator.standard_normal((RESAMPLES, len(values))) * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
+
+
 def _inverse(matrix: Array) -> Array:
     """Return the inverse of a symmetric positive matrix of any scaling; what it does not determine comes out large."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    diagonal = np.diag(matrix)
+    scale = 1.0 / np.sqrt(np.maximum(diagonal, max(1e-20 * diagonal.max(), 1e-300)))
     inverse = np.linalg.inv(matrix * np.outer(scale, scale) + 1e-13 * np.eye(len(matrix)))
     rescaled: Array = inverse * np.outer(scale, scale)
     return rescaled
 
 
-def _blocks(runs: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return a block number per window: its run, or a stretch of the whole when there are too few runs."""
-    _, block = np.unique(runs, return_inverse=True)
-    if block.max() + 1 >= FEWEST_BLOCKS:
-        return block
-    return np.arange(len(runs)) * min(FEWEST_BLOCKS, len(runs)) // len(runs)
+def _blocks(cut: Cut) -> NDArray[np.int64]:
+    """Return a block number per window: its run, or stretches of it, longer than a window, when runs are few."""
+    runs, run = np.unique(cut.run, return_inverse=True)
+    if len(runs) >= ENOUGH_RUNS:
+        return run
+    length = len(cut.windows.inputs) + 1
+    longest = max(2 * length, int(cut.start.max()) // ENOUGH_RUNS + 1)
+    _, block = np.unique(run * 1_000_000_000 + cut.start // longest, return_inverse=True)
+    return block
 
 
 def _sum_by(values: Array, block: NDArray[np.int64]) -> Array:
@@ -96,7 +113,8 @@ def describe(fit: Fit, objective: Objective, uncertainty: Uncertainty) -> tuple[
         half_width = float(uncertainty.half_width[i])
         with_others = [p["parameters"][1 - p["parameters"].index(name)] for p in pairs if name in p["parameters"]]
         bound = "low" if value <= unknowns.low[i] else "high" if value >= unknowns.high[i] else None
-        identified = bound is None and half_width <= IDENTIFIED * abs(value)
+        spread = max(half_width, float(interval[i, 1] - interval[i, 0]) / 2)
+        identified = bound is None and spread <= IDENTIFIED * abs(value)
         table[name] = {
             "value": value,
             "unit": unknowns.specifications[i].unit,

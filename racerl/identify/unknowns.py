@@ -49,6 +49,7 @@ def choose_unknowns(vehicle: Vehicle, priors: Mapping[str, Any], hold: Sequence[
     """
     table = {name: float(value) for name, value in values(vehicle).items()}
     priors = dict(_flat(priors))
+    hold = [hold] if isinstance(hold, str) else hold
     for pattern in [*priors, *hold]:
         if not fnmatch.filter(values(configured), pattern) and pattern != EFFECTS:
             raise ConfigError(f"no parameter of the vehicle fits '{pattern}'{suggest(pattern, values(configured))}")
@@ -68,9 +69,14 @@ def choose_unknowns(vehicle: Vehicle, priors: Mapping[str, Any], hold: Sequence[
         np.array([table[name] for name in names]),
         np.array([sigma[name] for name in names]),
         np.array([known[name].low for name in names]),
-        np.array([known[name].high for name in names]),
+        np.array([_highest(name, known[name], table) for name in names]),
         tuple(known[name] for name in names),
     )
+
+
+def _highest(name: str, specification: Parameter, table: Mapping[str, float]) -> float:
+    """Return the upper bound; the centre of gravity stays between the axles."""
+    return 0.95 * table["wheelbase"] if name == "l_f" else specification.high
 
 
 def _flat(priors: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

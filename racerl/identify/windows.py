@@ -1,7 +1,7 @@
 """From logs to windows: stretches of equal length that never cross a run, and what drives the car in them.
 
 An actuator is driven by its command where one was logged, else its measured state is the input. Either is held over
-the sample that follows it.
+the sample that follows it, which makes a measured input half a sample late: errors are comparable to published ones so.
 """
 
 from collections.abc import Iterator, Sequence
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from racerl.data.log import VELOCITY, Log
 from racerl.errors import LogError
-from racerl.vehicle.rollout import Windows, drive_by
+from racerl.vehicle.rollout import Windows, drive_by, settle
 from racerl.vehicle.vehicle import STATE, Vehicle
 
 Array = NDArray[np.float64]
@@ -21,7 +21,7 @@ ACTUATORS = (("delta", "delta_ref"), ("omega", "omega_ref"))  # state and comman
 
 
 @dataclass(frozen=True)
-class Layout:
+class Wiring:
     """What a fit sees of a log: the channel that drives each actuator, and the states that are compared."""
 
     steering: str
@@ -46,7 +46,7 @@ class Cut:
         return Cut(self.windows.take(index), self.run[index], self.start[index])
 
 
-def choose_layout(logs: Sequence[Log], inputs: str = "auto") -> Layout:
+def choose_wiring(logs: Sequence[Log], inputs: str = "auto") -> Wiring:
     """Return what all the logs offer; raise LogError for what can't be done without."""
     common = set.intersection(*(set(log.channels) for log in logs))
     names = ", ".join(log.name for log in logs)
@@ -67,19 +67,21 @@ def choose_layout(logs: Sequence[Log], inputs: str = "auto") -> Layout:
     observed += [
         state for (state, _), channel in zip(ACTUATORS, chosen, strict=True) if channel != state and state in common
     ]
-    return Layout(steering, drive, tuple(observed))
+    return Wiring(steering, drive, tuple(observed))
 
 
-def cut(logs: Sequence[Log], layout: Layout, vehicle: Vehicle, length: int, stride: int, slowest: float) -> Cut:
+def cut(logs: Sequence[Log], wiring: Wiring, vehicle: Vehicle, length: int, stride: int, slowest: float) -> Cut:
     """Cut runs into windows of `length` intervals, one every `stride` samples.
 
     Windows in which the car is slower than `slowest` m/s are left out. The weights are one. Raises LogError when no
     run is long enough or none moves.
     """
     dt = logs[0].dt
-    if any(abs(log.dt - dt) > 1e-3 * dt for log in logs):
-        raise LogError(f"{logs[0].name}: logs of different rates ({dt:g} s and others) can't be fitted together")
-    parts = list(_cut_runs(logs, layout, vehicle, length, stride, slowest))
+    for other in logs:
+        if abs(other.dt - dt) <= 1e-3 * dt:
+            continue
+        raise LogError(f"{logs[0].name}: samples {dt:g} s apart, {other.name}: {other.dt:g} s; give data.resample=…")
+    parts = list(_cut_runs(logs, wiring, vehicle, length, stride, slowest))
     longest = max(len(rows) for log in logs for rows in log.runs())
     if not parts and longest <= length:
         raise LogError(
@@ -97,11 +99,12 @@ def cut(logs: Sequence[Log], layout: Layout, vehicle: Vehicle, length: int, stri
         np.ones(stacked.shape[1:]),
         dt,
     )
+    settle(vehicle, windows)
     return Cut(windows, np.concatenate(run), np.concatenate(start))
 
 
 def _cut_runs(
-    logs: Sequence[Log], layout: Layout, vehicle: Vehicle, length: int, stride: int, slowest: float
+    logs: Sequence[Log], wiring: Wiring, vehicle: Vehicle, length: int, stride: int, slowest: float
 ) -> Iterator[tuple[Array, Array, Array, NDArray[np.int64], NDArray[np.int64]]]:
     number = -1
     for log in logs:
@@ -117,10 +120,10 @@ def _cut_runs(
                 continue
             index = starts + np.arange(length + 1)[:, None]
             column = {name: rows[name].to_numpy()[index] for name in log.channels}
-            inputs = np.stack([column[name][:-1] for name in (layout.steering, layout.drive)], axis=1)
-            measured = np.stack([column[name] for name in layout.observed], axis=1)
+            inputs = np.stack([column[name][:-1] for name in (wiring.steering, wiring.drive)], axis=1)
+            measured = np.stack([column[name] for name in wiring.observed], axis=1)
             yield (
-                _initial(vehicle, column, layout, len(starts)),
+                _initial(vehicle, column, wiring, len(starts)),
                 inputs,
                 measured,
                 np.full(len(starts), number),
@@ -128,13 +131,13 @@ def _cut_runs(
             )
 
 
-def _initial(vehicle: Vehicle, column: dict[str, Array], layout: Layout, count: int) -> Array:
+def _initial(vehicle: Vehicle, column: dict[str, Array], wiring: Wiring, count: int) -> Array:
     """Return the first guess of each window's initial state (S, W): what was measured, commands for actuators."""
     state = np.zeros((len(vehicle.states), count))
     for i, name in enumerate(STATE):
         if name in column:
             state[i] = column[name][0]
-    for (name, _), channel in zip(ACTUATORS, (layout.steering, layout.drive), strict=True):
+    for (name, _), channel in zip(ACTUATORS, (wiring.steering, wiring.drive), strict=True):
         if name not in column:
             state[STATE.index(name)] = column[channel][0]
     return state

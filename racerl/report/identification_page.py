@@ -39,9 +39,7 @@ def draw_identification(run: Path) -> Path:
                 errors=error_rows(facts),
                 spread=spread,
                 figures=figures,
-                provenance={
-                    key: folder.manifest.get(key) or "–" for key in ("git_sha", "cpu", "threads", "seconds", "seed")
-                },
+                provenance={key: "–" if (value := folder.manifest.get(key)) is None else value for key in PROVENANCE},
             )
         )
     except (DocumentError, OSError, ValueError, KeyError, TypeError, pa.ArrowException, jinja2.UndefinedError) as error:
@@ -74,8 +72,8 @@ def _drawn(facts: dict[str, Any], curves: pd.DataFrame, windows: pd.DataFrame) -
         (
             "overlay",
             "Measured and simulated",
-            f"Rollouts of {facts['horizon']} samples in the run of median error. Each starts from the measured state, "
-            "at a dotted line.",
+            f"Rollouts of {facts['horizon']} samples in the run of median error"
+            f"{', which was fitted too' if fitted else ''}. Each starts from the measured state, at a dotted line.",
             overlay.draw(windows, fitted),
         ),
         (
@@ -87,10 +85,16 @@ def _drawn(facts: dict[str, Any], curves: pd.DataFrame, windows: pd.DataFrame) -
         (
             "residuals",
             "Errors at the end of the rollouts",
-            f"Simulated minus measured after {facts['horizon']} samples, all rollouts.",
+            f"Simulated minus measured after {facts['horizon']} samples, all runs. Beyond ± 4 deviations of the "
+            f"channel, and not drawn: {_outside(facts)}.",
             residuals.draw(facts["residuals"], fitted),
         ),
     ]
+
+
+def _outside(facts: dict[str, Any]) -> str:
+    channels = facts["residuals"]["fitted"].items()
+    return ", ".join(f"{c['outside']} of {c['outside'] + sum(c['counts'])} in {name}" for name, c in channels)
 
 
 def _figure(folder: Path, name: str, title: str, caption: str, svg: str) -> dict[str, str]:

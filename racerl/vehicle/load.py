@@ -87,4 +87,13 @@ def _with_file(settings: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return the content of `settings["file"]`, if there is one, under what the settings say themselves."""
     if "file" not in settings:
         return settings
-    return {**read_yaml(Path(settings["file"])), **{k: v for k, v in settings.items() if k != "file"}}
+    return _merged(read_yaml(Path(settings["file"])), {k: v for k, v in settings.items() if k != "file"})
+
+
+def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the base with the changes put in, section by section."""
+    merged = dict(base)
+    for key, value in changes.items():
+        inner = merged.get(key)
+        merged[key] = _merged(inner, value) if isinstance(inner, Mapping) and isinstance(value, Mapping) else value
+    return merged

@@ -259,7 +259,6 @@ class Rollout:
         intervals, states = len(windows.inputs), len(self.vehicle.states)
         if self._library is None:
             return _simulate_torch(self, torch.as_tensor(parameters), windows, steps, h).numpy()
-        parts: list[Array] = []
 
         def run(part: Windows) -> Array:
             out = np.empty((intervals + 1, states, part.count))
@@ -330,6 +329,26 @@ def fastest_rate(vehicle: Vehicle, states: Array) -> float:
     blocks = np.asarray(jacobian(states, states[[STATE.index("delta"), STATE.index("omega")]], []))
     square = blocks.reshape(len(states), states.shape[1], len(states)).transpose(1, 0, 2)
     return float(np.abs(np.linalg.eigvals(square)).max())
+
+
+def settle(vehicle: Vehicle, windows: Windows) -> None:
+    """Set the effects' own initial states to where they rest in the measured motion: one Newton step on their rates.
+
+    Exact for rates that are linear in those states, as lags are; states that never rest (clocks) stay as they are.
+    """
+    import casadi
+
+    if len(vehicle.states) == len(STATE):
+        return
+    own = slice(len(STATE), len(vehicle.states))
+    x, u, p, f, f_x, _ = _linearisation(vehicle, [])
+    count = windows.count
+    rates = casadi.Function("rates", [x, u, p], [f[own], f_x[own, own]]).map(count)
+    f_own, f_xx = (np.asarray(part) for part in rates(windows.initial, windows.inputs[0], []))
+    blocks = f_xx.reshape(len(f_own), count, len(f_own)).transpose(1, 0, 2)
+    solvable = np.abs(np.linalg.det(blocks)) > 1e-9
+    step = np.linalg.solve(blocks[solvable], f_own.T[solvable][:, :, None])[:, :, 0]
+    windows.initial[own, solvable] -= step.T
 
 
 def _active(vehicle: Vehicle, observed: Sequence[str]) -> list[str]:

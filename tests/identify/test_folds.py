@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from racerl.identify.folds import deal
-from racerl.identify.windows import choose_layout, cut
+from racerl.identify.windows import choose_wiring, cut
 from tests.identify.test_windows import drive
 from tests.vehicle.conftest import make_car
 
@@ -14,8 +14,8 @@ LENGTH = 20
 @pytest.mark.parametrize("rows, folds, how", [((200, 150, 90, 90, 60), 3, "whole runs"), ((400, 300), 4, "stretches")])
 def test_folds(rows, folds, how):
     log = drive(rows)
-    layout = choose_layout([log])
-    windows = cut([log], layout, layout.driven(make_car()), LENGTH, 1, 0.0)
+    wiring = choose_wiring([log])
+    windows = cut([log], wiring, wiring.driven(make_car()), LENGTH, 1, 0.0)
     dealt, said = deal(windows, folds)
     assert said.startswith(how) and len(dealt) == folds
     held = np.zeros(windows.windows.count, dtype=int)

@@ -12,7 +12,7 @@ from racerl.identify.methods.gauss_newton import GaussNewton
 from racerl.identify.objective import Objective
 from racerl.identify.uncertainty import estimate
 from racerl.identify.unknowns import choose_unknowns
-from racerl.identify.windows import channel_scale, choose_layout, cut
+from racerl.identify.windows import channel_scale, choose_wiring, cut
 from racerl.vehicle.load import load_vehicle
 from racerl.vehicle.rollout import Rollout
 from tests.identify.conftest import settings_for
@@ -29,21 +29,21 @@ def nothing(iteration: int, cost: float) -> None:
 def problem(hidden):
     settings = settings_for(hidden / "log.parquet")
     logs = load_given(settings)
-    layout, car = choose_layout(logs), load_vehicle(settings["vehicle"])
+    wiring, car = choose_wiring(logs), load_vehicle(settings["vehicle"])
     unknowns = choose_unknowns(car, PRIORS, [], car)
-    rollout = Rollout(car, unknowns.names, layout.observed)
-    windows = cut(logs, layout, car, 85, 85, 0.5)
-    scale = channel_scale(logs, layout.observed)
-    return Objective(rollout, unknowns, windows.windows, scale, np.ones(len(scale)), penalty=1e-6), windows.run
+    rollout = Rollout(car, unknowns.names, wiring.observed)
+    windows = cut(logs, wiring, car, 85, 85, 0.5)
+    scale = channel_scale(logs, wiring.observed)
+    return Objective(rollout, unknowns, windows.windows, scale, np.ones(len(scale)), penalty=1e-6), windows
 
 
 def test_adamw_and_gauss_newton_agree_within_their_intervals(problem):
-    objective, runs = problem
+    objective, windows = problem
     start = objective.start(objective.unknowns.start)
     fits = [GaussNewton().fit(objective, start, nothing), Adamw(iterations=300).fit(objective, start, nothing)]
-    assert fits[0].iterations < 30 and fits[0].converged
+    assert fits[0].steps < 30 and fits[0].converged
     assert fits[1].linearised.cost == pytest.approx(fits[0].linearised.cost, rel=1e-3)
-    intervals = [np.percentile(estimate(f, objective, runs, 1000.0, 0).draws, [2.5, 97.5], axis=0) for f in fits]
+    intervals = [np.percentile(estimate(f, objective, windows, 1000.0, 0).draws, [2.5, 97.5], axis=0) for f in fits]
     for fit, (low, high) in zip(fits, intervals[::-1], strict=True):
         assert ((low <= fit.point.theta) & (fit.point.theta <= high)).all()
 

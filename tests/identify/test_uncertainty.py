@@ -33,12 +33,36 @@ def linear_fit(seed, design=None, count=120, noise=0.3):
     return Fit(Point(theta, np.zeros((1, count))), at, 1, True), objective, count * 5
 
 
+def cut_of(run):
+    """Windows of five samples, one after the other within each run."""
+    start = 5 * (np.arange(len(run)) - np.searchsorted(run, run))
+    return SimpleNamespace(run=run, start=start, windows=SimpleNamespace(inputs=np.zeros((4, 2, len(run)))))
+
+
+def test_what_only_the_prior_knows_is_as_wide_as_the_prior():
+    def design(generator, count):
+        return generator.standard_normal((count, 5, 3)) * np.array([1.0, 1.0, 1e-6])
+
+    for run in (np.arange(120), np.zeros(120, dtype=int)):  # by resampling, and from one run's curvature
+        fit, objective, independent = linear_fit(3, design)
+        fit.point.theta[2] = 0.0  # the plain least squares' value is noise
+        objective.penalty = fit.linearised.data / independent
+        draws = estimate(fit, objective, cut_of(run), independent, 0).draws
+        assert 0.85 < draws[:, 2].std() < 1.15 and draws[:, 0].std() < 0.05
+
+
+def test_few_windows_are_no_certainty():
+    fit, objective, independent = linear_fit(4, count=3)
+    draws = estimate(fit, objective, cut_of(np.zeros(3, dtype=int)), independent, 0).draws
+    assert (draws.std(axis=0) > 0.02).all()
+
+
 def test_intervals_cover_the_truth():
     inside = []
     for seed in range(60):
         fit, objective, independent = linear_fit(seed)
         low, high = np.percentile(
-            estimate(fit, objective, np.arange(120) // 3, independent, 0).draws, [2.5, 97.5], axis=0
+            estimate(fit, objective, cut_of(np.arange(120) // 3), independent, 0).draws, [2.5, 97.5], axis=0
         )
         inside.append((low <= TRUTH) & (high >= TRUTH))
     assert 0.88 <= np.mean(inside) <= 0.99
@@ -47,7 +71,9 @@ def test_intervals_cover_the_truth():
 def test_half_width_is_the_covariances():
     fit, objective, independent = linear_fit(0)
     sigma = np.sqrt(np.diag(np.linalg.inv(fit.linearised.tt.sum(0))) * fit.linearised.data / independent)
-    assert np.allclose(estimate(fit, objective, np.zeros(120), independent, 0).half_width, 1.96 * sigma, rtol=1e-6)
+    assert np.allclose(
+        estimate(fit, objective, cut_of(np.zeros(120, dtype=int)), independent, 0).half_width, 1.96 * sigma, rtol=1e-6
+    )
 
 
 def test_twins_are_named_not_separable():
@@ -57,7 +83,7 @@ def test_twins_are_named_not_separable():
         return J
 
     fit, objective, independent = linear_fit(1, design)
-    table, pairs = describe(fit, objective, estimate(fit, objective, np.arange(120), independent, 0))
+    table, pairs = describe(fit, objective, estimate(fit, objective, cut_of(np.arange(120)), independent, 0))
     assert [sorted(pair["parameters"]) for pair in pairs] == [["a", "b"]]
     assert table["a"]["not_separable_from"] == ["b"] and not table["a"]["identified"]
     assert table["c"]["identified"] and table["c"]["not_separable_from"] == []
@@ -70,7 +96,7 @@ def test_what_the_data_do_not_touch_is_wide_open_whatever_the_scale():
         return J
 
     fit, objective, independent = linear_fit(2, design)
-    half_width = estimate(fit, objective, np.arange(120), independent, 0).half_width
+    half_width = estimate(fit, objective, cut_of(np.arange(120)), independent, 0).half_width
     assert half_width[0] < 1e-6 < half_width[1] < 1.0 < 1e3 < half_width[2]
 
 

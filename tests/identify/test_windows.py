@@ -6,7 +6,7 @@ import pytest
 
 from racerl.data.log import Log, separate
 from racerl.errors import LogError
-from racerl.identify.windows import channel_scale, choose_layout, cut
+from racerl.identify.windows import channel_scale, choose_wiring, cut
 from racerl.vehicle.actuator import FirstOrder, Instant
 from tests.vehicle.conftest import make_car
 
@@ -25,8 +25,8 @@ def drive(rows=(200, 150, 40), **channels):
 
 def test_windows_stay_within_runs():
     log, car = drive(), make_car()
-    layout = choose_layout([log])
-    windows = cut([log], layout, layout.driven(car), length=50, stride=10, slowest=0.0)
+    wiring = choose_wiring([log])
+    windows = cut([log], wiring, wiring.driven(car), length=50, stride=10, slowest=0.0)
     steps = np.diff(windows.windows.measured[:, 0], axis=0)
     assert np.allclose(steps, 0.01), "a window that crossed a run or a gap would jump"
     starts = {(run, start) for run, start in zip(windows.run.tolist(), windows.start.tolist(), strict=True)}
@@ -35,8 +35,8 @@ def test_windows_stay_within_runs():
 
 def test_inputs_act_on_the_sample_that_follows():
     log = drive()
-    layout = choose_layout([log])
-    windows = cut([log], layout, layout.driven(make_car()), 5, 5, 0.0).windows
+    wiring = choose_wiring([log])
+    windows = cut([log], wiring, wiring.driven(make_car()), 5, 5, 0.0).windows
     assert np.array_equal(windows.inputs[:, 0, 0], log.array("delta")[:5])
     assert windows.initial[6, 0] == log.array("delta")[0] and windows.initial[3, 0] == log.array("v_x")[0]
 
@@ -45,14 +45,14 @@ def test_what_drives_the_car():
     n = 390
     commands = {"delta_ref": np.zeros(n), "omega_ref": np.ones(n)}
     full, car = drive(**commands), make_car()
-    assert choose_layout([full]).observed == ("v_x", "v_y", "yaw_rate", "delta", "omega")
-    assert choose_layout([full], "measured").observed == ("v_x", "v_y", "yaw_rate")
-    half = choose_layout([drive(delta_ref=commands["delta_ref"], delta=None)])
+    assert choose_wiring([full]).observed == ("v_x", "v_y", "yaw_rate", "delta", "omega")
+    assert choose_wiring([full], "measured").observed == ("v_x", "v_y", "yaw_rate")
+    half = choose_wiring([drive(delta_ref=commands["delta_ref"], delta=None)])
     assert (half.steering, half.drive) == ("delta_ref", "omega")
     driven = half.driven(car)
     assert isinstance(driven.steering, FirstOrder) and isinstance(driven.drive, Instant)
     # together, logs are driven by what all of them have
-    assert choose_layout([full, drive()]).steering == "delta"
+    assert choose_wiring([full, drive()]).steering == "delta"
 
 
 @pytest.mark.parametrize(
@@ -65,25 +65,25 @@ def test_what_drives_the_car():
 )
 def test_what_cannot_be_done_without(channels, inputs, said):
     with pytest.raises(LogError, match=said) as error:
-        choose_layout([drive(**channels)], inputs)
+        choose_wiring([drive(**channels)], inputs)
     assert "\n" not in str(error.value)
 
 
 def test_short_slow_and_still_logs_are_refused_in_one_line():
     car, log = make_car(), drive()
-    layout = choose_layout([log])
+    wiring = choose_wiring([log])
     with pytest.raises(LogError, match="longest run has 200 samples, a window needs 301"):
-        cut([log], layout, layout.driven(car), 300, 10, 0.0)
+        cut([log], wiring, wiring.driven(car), 300, 10, 0.0)
     with pytest.raises(LogError, match="never stays above 30 m/s"):
-        cut([log], layout, layout.driven(car), 50, 10, 30.0)
+        cut([log], wiring, wiring.driven(car), 50, 10, 30.0)
     with pytest.raises(LogError, match="v_y never changes"):
         channel_scale([drive(v_y=np.zeros(390))], ("v_x", "v_y"))
 
 
 def test_slow_windows_are_left_out():
     log = drive()
-    layout = choose_layout([log])
-    fast = cut([log], layout, layout.driven(make_car()), 50, 10, 2.0)
+    wiring = choose_wiring([log])
+    fast = cut([log], wiring, wiring.driven(make_car()), 50, 10, 2.0)
     assert (fast.windows.measured[:, 0] > 2.0).all() and fast.windows.count > 0
 
 

@@ -2,18 +2,19 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
+from racerl.errors import ConfigError
 from racerl.identify.objective import Linearised, Objective, Point
 
 
 @dataclass(frozen=True)
 class Fit:
-    """Where a method ended: the point, the objective there, and how many passes over the data it took."""
+    """Where a method ended: the point, the objective there, and how many steps it took."""
 
     point: Point
     linearised: Linearised
-    iterations: int
+    steps: int
     converged: bool
 
 
@@ -22,3 +23,12 @@ class Method(Protocol):
 
     def fit(self, objective: Objective, start: Point, on_step: Callable[[int, float], None]) -> Fit:
         """Return the best point found."""
+
+
+def require_numbers(where: str, iterations: Any, **reals: Any) -> None:
+    """Raise ConfigError unless `iterations` is a whole number and the others are numbers."""
+    if isinstance(iterations, bool) or not isinstance(iterations, int):
+        raise ConfigError(f"{where}.iterations = {iterations}: allowed is a whole number ≥ 1")
+    for name, value in reals.items():
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise ConfigError(f"{where}.{name} = {value}: a number is expected")

@@ -1,7 +1,8 @@
 """AdamW on the parameters, as in the paper; the initial states follow by a Gauss–Newton step of their own.
 
 The gradient of the rollouts is the compiled kernel's, or torch's by back-propagation through time (`gradient: torch`);
-both are the exact gradient of the same sum. θ is scaled by the priors' deviations; the rate falls along a cosine.
+both are the exact gradient of the same sum. θ is scaled by the priors' deviations; the rate falls along a cosine. The
+priors take the place of weight decay.
 """
 
 import math
@@ -13,11 +14,12 @@ import torch
 from numpy.typing import NDArray
 
 from racerl.errors import ConfigError
-from racerl.identify.methods import Fit
+from racerl.identify.methods import Fit, require_numbers
 from racerl.identify.objective import Objective, Point
 from racerl.vehicle.parameter import replace_values
 from racerl.vehicle.rollout import roll_out
 
+SETTLED = 1e-3  # relative gain over the last tenth of the steps, below which the fit has converged
 GRADIENTS = ("kernel", "torch")
 
 
@@ -32,6 +34,7 @@ class Adamw:
     def __post_init__(self) -> None:
         if self.gradient not in GRADIENTS:
             raise ConfigError(f"method.gradient = {self.gradient}: allowed is {' or '.join(GRADIENTS)}")
+        require_numbers("method", iterations=self.iterations, rate=self.rate)
         if self.iterations < 1 or not 0 < self.rate < 10:
             raise ConfigError(f"method: iterations = {self.iterations}, rate = {self.rate}; allowed is ≥ 1 and 0 … 10")
 
@@ -44,6 +47,7 @@ class Adamw:
         schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, self.iterations)
         at = objective.linearise(point)
         best, best_at = point, at
+        costs = [at.cost]
         for iteration in range(1, self.iterations + 1):
             gradient = at.t.sum(axis=0) if self.gradient == "kernel" else torch_gradient(objective, point)
             # half of the gradient of the cost, in scaled parameters
@@ -58,8 +62,11 @@ class Adamw:
                 break
             if at.cost < best_at.cost:
                 best, best_at = point, at
+            costs.append(best_at.cost)
             on_step(iteration, at.cost)
-        return Fit(best, best_at, iteration, math.isfinite(at.cost))
+        # the last tenth of the way, at small rates, changes nothing any more
+        before = costs[-1 - len(costs) // 10]
+        return Fit(best, best_at, iteration, math.isfinite(at.cost) and before - best_at.cost < SETTLED * best_at.cost)
 
 
 def torch_gradient(objective: Objective, point: Point) -> NDArray[np.float64]:

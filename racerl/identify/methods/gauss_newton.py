@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from racerl.errors import ConfigError
-from racerl.identify.methods import Fit
+from racerl.identify.methods import Fit, require_numbers
 from racerl.identify.objective import Linearised, Objective, Point
 
 DAMPING_LIMIT = 1e8
@@ -26,6 +26,7 @@ class GaussNewton:
     damping: float = 1e-2
 
     def __post_init__(self) -> None:
+        require_numbers("method", iterations=self.iterations, tolerance=self.tolerance, damping=self.damping)
         if self.iterations < 1 or not 0 < self.tolerance < 1 or self.damping <= 0:
             raise ConfigError(
                 f"method: iterations = {self.iterations}, tolerance = {self.tolerance}, damping = {self.damping}; "
@@ -44,7 +45,7 @@ class GaussNewton:
                     break
                 damping *= 5
                 if damping > DAMPING_LIMIT:
-                    return Fit(point, at, iteration, np.isfinite(at.cost))
+                    return Fit(point, at, iteration, bool(np.isfinite(at.cost)))
             gain = (at.cost - there.cost) / max(at.cost, 1e-300)
             point, at, damping = candidate, there, max(damping / 5, 1e-9)
             on_step(iteration, at.cost)

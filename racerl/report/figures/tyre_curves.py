@@ -22,10 +22,16 @@ def draw(curves: pd.DataFrame, covered: Mapping[str, Sequence[float]], fitted: b
                 low, high = covered[f"{name}_{axle[0]}"]
                 axis.axvspan(low, high, color="#dddddd", alpha=0.5, lw=0, label="slips in the log (1 … 99 %)")
                 curve = curves[(curves["axle"] == axle) & (curves["direction"] == direction)]
-                axis.fill_between(curve["slip"], curve["low"], curve["high"], color=COLOURS[0], alpha=0.3, lw=0)
                 if fitted:
+                    axis.fill_between(curve["slip"], curve["low"], curve["high"], color=COLOURS[0], alpha=0.3, lw=0)
                     axis.plot(curve["slip"], curve["start"], color=COLOURS[1], lw=1.0, ls="--", label="before")
-                axis.plot(curve["slip"], curve["value"], color=COLOURS[0], lw=1.5, label="identified, 95 % band")
+                axis.plot(
+                    curve["slip"],
+                    curve["value"],
+                    color=COLOURS[0],
+                    lw=1.5,
+                    label="identified, 95 % band" if fitted else "given vehicle",
+                )
                 axis.set(
                     xlabel=label,
                     ylabel=f"{axle} {force}",
