@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from racerl.assemble import use_threads
 from racerl.data.inspect import compare, inspect
 from racerl.data.load import load_given
-from racerl.data.log import Log, separate
+from racerl.data.log import CHANNELS, Log, separate
 from racerl.documents import write_bytes, write_json
-from racerl.errors import ConfigError
+from racerl.errors import ConfigError, LogError
 from racerl.identify.document import write_model
 from racerl.identify.folds import deal
 from racerl.identify.score import ErrorSum
@@ -65,6 +65,7 @@ def identify(
     unknowns = choose_unknowns(vehicle, settings["priors"], settings["hold"], configured) if settings["fit"] else None
     rollout = Rollout(vehicle, unknowns.names if unknowns else (), wiring.observed, settings["step"])
     scored = Scored(rollout, wiring, logs, settings)
+    _check_stable(scored, rollout.nominal())
     task = make_task(settings, rollout, unknowns, wiring, logs) if unknowns else None
 
     folder = RunFolder.start(out, "identify", settings, seed=settings["seed"], threads=settings["threads"])
@@ -92,7 +93,7 @@ def identify(
         facts |= _hold_out(task, scored, settings, lambda share: on_progress("held-out runs", share))
         facts |= _result(task, solution, uncertainty)
         facts["warnings"] = [*warnings, *_fit_warnings(facts)]
-    facts["warnings"] += _stiffness_warnings(rollout, theta, scored)
+    facts["warnings"] += _stiffness_warnings(scored, theta)
     facts["residuals"] = {"unfitted": scored.histogram(start), "fitted": scored.histogram(theta)}
     if task is not None:
         write_model(folder.path / MODEL, settings["vehicle"], dict(zip(rollout.names, theta, strict=True)), facts)
@@ -169,15 +170,32 @@ def _fit_warnings(facts: Mapping[str, Any]) -> list[str]:
     return warnings
 
 
-def _stiffness_warnings(rollout: Rollout, theta: Array, scored: Scored) -> list[str]:
+def _check_stable(scored: Scored, theta: Array) -> None:
+    """Raise LogError for a vehicle whose simulation leaves what a small car can show."""
+    with np.errstate(all="ignore"):
+        errors = scored.rollout_errors(theta, np.arange(scored.cut.windows.count))
+        rms = np.sqrt((errors**2).mean(axis=(0, 2)))
+    for name, value in zip(scored.rollout.observed, rms, strict=True):
+        if not value <= CHANNELS[name].largest:
+            raise LogError(
+                f"the given vehicle diverges on this log, {name} is off by {value:.3g} {CHANNELS[name].unit}; "
+                f"check vehicle=… and the log's units, or give step={_stable_step(scored, theta)[1]:.2g}"
+            )
+
+
+def _stable_step(scored: Scored, theta: Array) -> tuple[float, float]:
+    """Return the integration step and the longest one that is stable at the log's slowest."""
+    car = replace_values(scored.rollout.vehicle, dict(zip(scored.rollout.names, theta, strict=True)))
+    _, h = scored.rollout.steps(scored.cut.windows.dt)
+    return h, 0.9 * STABLE / fastest_rate(car, scored.cut.windows.initial)
+
+
+def _stiffness_warnings(scored: Scored, theta: Array) -> list[str]:
     """Return a line when the integration step is too long for the car at the log's slowest."""
-    car = replace_values(rollout.vehicle, dict(zip(rollout.names, theta, strict=True)))
-    _, h = rollout.steps(scored.cut.windows.dt)
-    rate = fastest_rate(car, scored.cut.windows.initial)
-    if rate * h < STABLE:
+    h, stable = _stable_step(scored, theta)
+    if 0.9 * h < stable:
         return []
-    advice = 0.9 * STABLE / rate
-    return [f"the car is too stiff for steps of {h:g} s at its slowest in this log; give step={advice:.2g}"]
+    return [f"the car is too stiff for steps of {h:g} s at its slowest in this log; give step={stable:.2g}"]
 
 
 def _hold_out(

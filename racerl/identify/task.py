@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from racerl import registry
 from racerl.data.log import CHANNELS, Log
-from racerl.errors import ConfigError, LogError, suggest
+from racerl.errors import ConfigError, suggest
 from racerl.identify import methods as methods_package
 from racerl.identify.methods import Fit, Method
 from racerl.identify.objective import Objective, independent_residuals
@@ -55,10 +55,10 @@ class Solution:
 def make_task(
     settings: Mapping[str, Any], rollout: Rollout, unknowns: Unknowns, wiring: Wiring, logs: Sequence[Log]
 ) -> Task:
-    """Cut the logs and choose scale, weights and method; raise LogError or ConfigError for what can't be fitted."""
+    """Cut the logs and choose scale, weights and method; raise LogError or ConfigError where that fails."""
     length = settings["window"]
     stride = max(sum(len(log.table) for log in logs) // MOST_WINDOWS, 1, length // 5)
-    task = Task(
+    return Task(
         rollout,
         unknowns,
         cut(logs, wiring, rollout.vehicle, length, stride, settings["slowest"]),
@@ -68,12 +68,6 @@ def make_task(
         registry.create(methods_package, settings["method"]),
         settings["threads"],
     )
-    objective = task.objective(np.arange(task.cut.windows.count), 1.0, 0.0)
-    if not np.isfinite(objective.linearise(objective.start(unknowns.start)).cost):
-        raise LogError(
-            "the given vehicle diverges on this log; check vehicle=… and the log's units, or give a smaller step="
-        )
-    return task
 
 
 def _weights(given: Mapping[str, Any], wiring: Wiring) -> Array:

@@ -5,6 +5,7 @@ At least 2,000 cases: 900 damaged tables, 500 spoilt ones, 300 of arbitrary byte
 
 import io
 import tempfile
+import time
 import zipfile
 from pathlib import Path
 
@@ -21,14 +22,14 @@ from racerl.errors import RacerlError
 from tests.conftest import CONF
 from tests.data.conftest import mapping, write_bag
 
-SLOWEST = 2000  # ms per case
+SLOWEST = 2.0  # seconds of computing per case, whatever else the machine does
 MAPPINGS = {path.stem: mapping(path.stem) for path in sorted((CONF / "data").glob("*.yaml"))}
 TABLES = (".csv", ".csv.gz", ".parquet")
 
 
 def fuzz(cases: int) -> settings:
     return settings(
-        max_examples=cases, deadline=SLOWEST, suppress_health_check=list(HealthCheck), derandomize=True, database=None
+        max_examples=cases, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True, database=None
     )
 
 
@@ -83,11 +84,13 @@ def attempt(suffix: str, content: bytes, name: str) -> Log | None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"log{suffix}"
         path.write_bytes(content)
+        began = time.process_time()
         try:
             log = load_logs([path], MAPPINGS[name])[0]
         except RacerlError as error:
             assert "\n" not in str(error) and len(str(error)) < 700
             log = None
+        assert time.process_time() - began < SLOWEST
         assert [file.name for file in Path(folder).iterdir()] == [path.name] and path.read_bytes() == content
     if log is not None:
         assert_plausible(log)
@@ -121,7 +124,7 @@ def _spoil(table: pd.DataFrame, kind: str, column: str, number: float, dice: np.
     if kind == "double":
         return pd.concat([table, table.iloc[rows[:10]]])
     if kind == "repeat":
-        return table.loc[table.index.repeat(2)]
+        return table.iloc[np.arange(len(table)).repeat(2)]
     if kind == "drop":
         return table.drop(columns=column) if len(table.columns) > 1 else table
     if kind == "cut":

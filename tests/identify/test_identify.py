@@ -184,7 +184,7 @@ def test_no_excitation(hidden, tmp_path):
         ("+weights.yawrate=3", "did you mean yaw_rate"),
         ("method.iterations=1.5", "whole number"),
         ("method.tolerance=abc", "a number is expected"),
-        ("vehicle.yaw_inertia=0.0002", "diverges"),
+        ("vehicle.steering.time_constant=0.002", "delta is off .* give step=0.0045"),
         ("method.iterations=0", "iterations"),
     ],
 )
