@@ -6,7 +6,7 @@ from typing import Any
 import torch
 
 from racerl.documents import conf_folder as conf_folder
-from racerl.env.actions import create_action
+from racerl.env.actions import Action, create_action
 from racerl.env.observations import create_observation
 from racerl.env.race import Race, Timing
 from racerl.env.randomize import Randomization
@@ -60,6 +60,22 @@ def build_track(settings: Settings) -> Track:
     return load_track(settings["track"], conf_folder() / "track")
 
 
+def build_action(settings: Settings) -> Action:
+    """Build the action of `action`; raise ConfigError when it commands another drive than the one of `sim`."""
+    action, drive = create_action(settings["action"]), settings["sim"]["drive"]
+    if action.drive_mode != drive:
+        raise ConfigError(
+            f"action={settings['action']['name']} commands {action.drive_mode}, but sim.drive is {drive}; "
+            f"use sim.drive={action.drive_mode}"
+        )
+    return action
+
+
+def build_timing(settings: Settings) -> Timing:
+    """Build control period, integration step and episode length of `sim`."""
+    return construct(Timing, {key: settings["sim"][key] for key in ("dt", "step", "max_steps")}, "sim")
+
+
 def choose_device(name: str) -> torch.device:
     """Return the device for cpu, cuda or auto; raise ConfigError when it is not there."""
     if name not in ("cpu", "cuda", "auto"):
@@ -79,22 +95,15 @@ def build_race(
 ) -> Race:
     """Build the race that the settings describe, for `cars` cars, with one seed for all or one for each."""
     check_settings(settings)
-    action = create_action(settings["action"])
-    sim = settings["sim"]
-    if action.drive_mode != sim["drive"]:
-        raise ConfigError(
-            f"action={settings['action']['name']} commands {action.drive_mode}, but sim.drive is {sim['drive']}; "
-            f"use sim.drive={action.drive_mode}"
-        )
     return Race(
         vehicle=build_vehicle(settings),
         track=build_track(settings),
         observation=create_observation(settings["obs"]),
-        action=action,
+        action=build_action(settings),
         count=cars,
         seeds=seeds,
         randomization=construct(Randomization, settings["dr"], "dr"),
-        timing=construct(Timing, {key: sim[key] for key in ("dt", "step", "max_steps")}, "sim"),
+        timing=build_timing(settings),
         termination=termination or OffTrack(),
         device=device or torch.device("cpu"),
     )

@@ -108,6 +108,15 @@ def record(overrides: Overrides = None) -> None:
 
 
 @app.command(context_settings=HYDRA)
+def optimum(overrides: Overrides = None) -> None:
+    """Find the time-optimal lap: racerl optimum track=l_shape vehicle=f1tenth out=outputs/optimum/first
+
+    Groups: vehicle track sim action. Writes optimum.json, raceline.csv (TUM format) and trajectory.parquet.
+    """
+    _run("optimum", overrides, _optimum)
+
+
+@app.command(context_settings=HYDRA)
 def report(arguments: Runs = None) -> None:
     """Draw the report: racerl report [RUN...]
 
@@ -251,6 +260,22 @@ def _bench(settings: "Settings", out: Path) -> None:
         facts = bench(settings, out, compose_settings, bar.show)
     console.print_json(data=facts)
     console.print(f"numbers in {out / RESULT}", highlight=False, soft_wrap=True)
+
+
+def _optimum(settings: "Settings", out: Path) -> None:
+    from racerl.console import Bar
+    from racerl.optimum.optimum import RACELINE, optimum
+
+    console = _console()
+    with Bar(console, "optimum") as bar:
+        facts = optimum(settings, out, bar.show)
+    held = facts["held"]
+    console.print(
+        f"{facts['time_s']:.3f} s with free commands, {held['time_s']:.3f} s with commands held for "
+        f"{held['period_s']:.4f} s; found in {facts['seconds']:.0f} s",
+        highlight=False,
+    )
+    console.print(f"raceline in {out / RACELINE}", highlight=False, soft_wrap=True)
 
 
 def _print_identification(console: Any, facts: dict[str, Any]) -> None:

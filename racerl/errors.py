@@ -32,6 +32,10 @@ class LogError(RacerlError):
     """A drive log that cannot be read, is damaged, or lacks what a stage needs."""
 
 
+class OptimumError(RacerlError):
+    """A time-optimal lap that was not found."""
+
+
 class PolicyError(RacerlError):
     """A policy file that is damaged or does not fit the environment."""
 

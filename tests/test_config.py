@@ -33,6 +33,7 @@ def test_no_file_is_left_out():
         "bench.yaml",
         "data.yaml",
         "identify.yaml",
+        "optimum.yaml",
         # composed below, each with its command
         *(
             f"{group}/{path.name}"
@@ -69,6 +70,7 @@ def test_every_choice_composes_and_drives(choice):
         ("report", []),
         ("data", ["logs=[x]"]),
         ("identify", ["logs=[x]"]),
+        ("optimum", []),
     ],
 )
 def test_every_command_composes(command, words):

@@ -1,8 +1,7 @@
 """A line round a track, smoother than its centreline, with the speeds that a car can drive it at.
 
-The line's offsets n from the centreline minimise ∫κ² ds, linearised about the last solution a few times over, with |n|
-at most the half-width less a margin. Speeds: those of the turns, then what braking and accelerating between them
-allow, with the friction circle  a_x = a_max √(1 − (v²κ/(share·grip))²).
+Speeds: those of the turns, then what braking and accelerating between them allow, with the friction circle
+a_x = a_max √(1 − (v²κ/(share·grip))²).
 """
 
 import math
@@ -11,14 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
-from scipy.optimize import lsq_linear
 
 from racerl.record.ability import Cornering
 from racerl.record.drivers import Measured
+from racerl.track.smooth_line import smooth_line
 from racerl.track.track import Track
 
-SPACING = 0.15  # m between the points that are moved
-PASSES = 4
 FINE = 0.03  # m between the points of the line
 SEARCH = 40  # points ahead among which the nearest is looked for
 SLOWEST = 1.0  # m/s
@@ -49,7 +46,7 @@ def find_line(
     track: Track, cornering: Cornering, braking: float, *, share: float, margin: float, steering: float, fastest: float
 ) -> Line:
     """Return the line with speeds that use a share of the grip; margin in m, steering in rad, `fastest` in m/s."""
-    points = _smooth(track, margin)
+    points, _ = smooth_line(track, margin)
     chord = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
     spline = CubicSpline(chord, points, bc_type="periodic")
     count = round(chord[-1] / FINE)
@@ -65,29 +62,6 @@ def find_line(
     speed = _drivable(turning, curvature, spacing, share * braking, share * cornering.grip)
     yaw = np.arctan2(dy, dx)
     return Line(spacing, x.tolist(), y.tolist(), yaw.tolist(), curvature.tolist(), speed.tolist())
-
-
-def _smooth(track: Track, margin: float) -> NDArray[np.float64]:
-    """Return the points of the smoothest line, the first repeated at the end."""
-    count = max(12, round(track.length / SPACING))
-    index = np.round(np.arange(count) * len(track.x) / count).astype(int)
-    centre = np.stack([track.x[index], track.y[index]], axis=1)
-    left = np.stack([-np.sin(track.yaw[index]), np.cos(track.yaw[index])], axis=1)
-    room = 0.02  # m, at least, to either side
-    low = -np.maximum(track.width_right[index] - margin, room)
-    high = np.maximum(track.width_left[index] - margin, room)
-    second = np.roll(np.eye(count), 1, axis=1) + np.roll(np.eye(count), -1, axis=1) - 2.0 * np.eye(count)
-    points = centre
-    for _ in range(PASSES):
-        along = np.roll(points, -1, axis=0) - np.roll(points, 1, axis=0)
-        ds = np.hypot(*along.T) / 2
-        # ∫κ² ds: the part of the second difference across the line, over ds^(3/2)
-        across = np.stack([-along[:, 1], along[:, 0]], axis=1) / (2 * ds**2.5)[:, None]
-        matrix = sum(across[:, axis, None] * second * left[:, axis] for axis in (0, 1))
-        target = -(across * (second @ centre)).sum(axis=1)
-        offset = lsq_linear(matrix, target, bounds=(low, high)).x
-        points = centre + offset[:, None] * left
-    return np.concatenate([points, points[:1]])
 
 
 def _drivable(

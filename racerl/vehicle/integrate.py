@@ -2,13 +2,13 @@
 
 from typing import Any
 
-from racerl.vehicle.ops import Ops
+from racerl.vehicle.ops import Ops, Scalar
 from racerl.vehicle.vehicle import STATE, Vehicle
 
 DELTA, OMEGA = STATE.index("delta"), STATE.index("omega")
 
 
-def rk4(vehicle: Vehicle, state: Any, command: Any, dt: float, ops: Ops) -> Any:
+def rk4(vehicle: Vehicle, state: Any, command: Any, dt: Scalar, ops: Ops) -> Any:
     """Return the state (S, N) after one step of dt seconds under a constant command (2, N)."""
     k_1 = vehicle.derivative(state, command, ops)
     k_2 = vehicle.derivative(state + (dt / 2) * k_1, command, ops)

@@ -17,9 +17,14 @@ class Action(Protocol):
     """A map from policy outputs to commands."""
 
     drive_mode: ClassVar[str]  # the vehicle's drive mode that the command is for
+    integrated: ClassVar[bool]  # whether the drive reference is limited to a rate, rate_max
     steering_max: float  # rad
     drive_max: float  # m/s or A
     rate_max: float  # m/s² or A/s
+
+    @property
+    def drive_min(self) -> float:
+        """Least drive reference in m/s or A."""
 
     def command(self, action: Tensor, last: Tensor, dt: float) -> Tensor:
         """Return the command (2, N) for outputs (N, 2) in [−1, 1], given the last command (2, N)."""

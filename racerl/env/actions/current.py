@@ -15,6 +15,12 @@ class Current:
     drive_max: float = 60.0  # A
     rate_max: float = 1200.0  # A/s, only scales the observed change of current
     drive_mode: ClassVar[str] = "motor_current"
+    integrated: ClassVar[bool] = False
+
+    @property
+    def drive_min(self) -> float:
+        """Least drive reference in A."""
+        return -self.drive_max
 
     def command(self, action: Tensor, last: Tensor, dt: float) -> Tensor:
         """Scale both outputs."""

@@ -17,6 +17,12 @@ class Speed:
     drive_max: float = OMEGA_REF_MAX  # m/s
     rate_max: float = 5.0  # m/s², only scales the observed change of ω_ref
     drive_mode: ClassVar[str] = "wheel_speed"
+    integrated: ClassVar[bool] = False
+
+    @property
+    def drive_min(self) -> float:
+        """Least drive reference in m/s."""
+        return OMEGA_REF_MIN
 
     def command(self, action: Tensor, last: Tensor, dt: float) -> Tensor:
         """Map the second output linearly onto the range of ω_ref."""

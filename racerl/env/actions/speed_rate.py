@@ -17,6 +17,12 @@ class SpeedRate:
     rate_max: float = 5.0  # m/s²
     drive_max: float = OMEGA_REF_MAX  # m/s
     drive_mode: ClassVar[str] = "wheel_speed"
+    integrated: ClassVar[bool] = True
+
+    @property
+    def drive_min(self) -> float:
+        """Least drive reference in m/s."""
+        return OMEGA_REF_MIN
 
     def command(self, action: Tensor, last: Tensor, dt: float) -> Tensor:
         """Integrate the second output into ω_ref."""

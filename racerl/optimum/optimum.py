@@ -1,0 +1,183 @@
+"""The optimum stage: the fastest lap that the car's equations, its limits and the track allow.
+
+A car that gains from sliding has a local minimum for every way of driving; the first guesses have the nose along the
+line or turned into the turns, and the best lap found is refined until its time settles. Writes `optimum.json`,
+`raceline.csv` in the TUM format and `trajectory.parquet`.
+"""
+
+import io
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import torch
+from numpy.typing import NDArray
+
+from racerl.assemble import build_action, build_timing, build_track, build_vehicle, use_threads
+from racerl.documents import write_bytes, write_json, write_text
+from racerl.env.actions import Action
+from racerl.errors import OptimumError
+from racerl.optimum.collocation import Collocation, Solution
+from racerl.optimum.corridor import Corridor
+from racerl.optimum.held import Held, hold
+from racerl.run import RunFolder
+from racerl.track.frenet import FrenetFrame
+from racerl.track.track import Track
+from racerl.vehicle.integrate import advance
+from racerl.vehicle.ops import TORCH
+from racerl.vehicle.vehicle import Vehicle
+
+RESULT, RACELINE, TRAJECTORY = "optimum.json", "raceline.csv", "trajectory.parquet"
+COARSEST = 0.33  # of the narrowest half-width: intervals of the first mesh
+LEAST_INTERVALS = 60
+SETTLED = 1e-3  # of the lap time, between two meshes
+REFINEMENTS = 4  # doublings at most
+SLIDING = (0.0, 0.6, 1.2)  # rad, sideslip of the first guesses
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """The lap, how it settled, and the lap with held commands."""
+
+    solution: Solution
+    corridor: Corridor
+    meshes: list[dict[str, float]]  # intervals, time_s
+
+    @property
+    def time(self) -> float:
+        """The lap time in s."""
+        return self.solution.time
+
+
+def find_optimum(
+    vehicle: Vehicle, track: Track, action: Action, on_share: Callable[[float], None] = lambda share: None
+) -> Optimum:
+    """Return the time-optimal lap; raise OptimumError when none is found or the mesh does not settle."""
+    corridor = Corridor(track)
+    narrowest = float((track.width_left + track.width_right).min() / 2)
+    intervals = max(LEAST_INTERVALS, round(corridor.length / (COARSEST * narrowest)))
+    best = _best_start(Collocation(vehicle, action, corridor, intervals))
+    meshes = [{"intervals": intervals, "time_s": best.time}]
+    for refinement in range(REFINEMENTS):
+        on_share((1 + refinement) / (1 + REFINEMENTS))
+        intervals *= 2
+        finer = Collocation(vehicle, action, corridor, intervals).solve(best.guess)
+        change, best = abs(finer.time / best.time - 1.0), finer
+        meshes.append({"intervals": intervals, "time_s": best.time})
+        if change < SETTLED:
+            return Optimum(best, corridor, meshes)
+    raise OptimumError(f"the lap time has not settled: it still moves by {change:.1%} at {intervals} intervals")
+
+
+def _best_start(problem: Collocation) -> Solution:
+    found, complaint = [], OptimumError("")
+    for sliding in SLIDING:
+        try:
+            found.append(problem.solve(problem.guess(sliding)))
+        except OptimumError as error:
+            complaint = error
+    if not found:
+        raise complaint
+    return min(found, key=lambda solution: solution.time)
+
+
+def replay(vehicle: Vehicle, held: Held) -> Array:
+    """Return the states (S, K + 1) of the race's integrator under a lap's commands, from its first state."""
+    state = torch.as_tensor(held.states[:, :1])
+    states = [state]
+    for command in torch.as_tensor(held.references.T):
+        step = held.period / held.substeps
+        states.append(advance(vehicle, states[-1], command[:, None], step, held.substeps, TORCH))
+    return torch.cat(states, dim=1).numpy()
+
+
+def margins(track: Track, x: Array, y: Array) -> Array:
+    """Return the distance to the nearer boundary, as the race sees it, along a path of points (M,) in m."""
+    frame = FrenetFrame(track, dtype=torch.float64)
+    s = torch.tensor([float(np.hypot(track.x - x[0], track.y - y[0]).argmin() * track.spacing)], dtype=torch.float64)
+    found = []
+    for point in torch.as_tensor(np.stack([x, y], axis=1)):
+        foot = frame.project(point[:1], point[1:], s)
+        s = foot.s
+        left, right = frame.lookup(frame.width_left, s) - foot.n, frame.lookup(frame.width_right, s) + foot.n
+        found.append(float(torch.minimum(left, right)))
+    return np.array(found)
+
+
+def optimum(
+    settings: Mapping[str, Any], out: Path, on_progress: Callable[[float, str], None] = lambda share, remark: None
+) -> dict[str, Any]:
+    """Find the time-optimal lap of a car on a track; return what is written to optimum.json."""
+    use_threads(settings["threads"])
+    vehicle, track = build_vehicle(settings), build_track(settings)
+    action, timing = build_action(settings), build_timing(settings)
+    began = time.perf_counter()
+    folder = RunFolder.start(out, "optimum", settings, threads=settings["threads"])
+    best = find_optimum(vehicle, track, action, lambda share: on_progress(0.7 * share, "continuous commands"))
+    on_progress(0.7, f"{best.time:.3f} s; held commands")
+    held = hold(best.corridor, best.solution, timing.dt, timing.substeps)
+    facts = {
+        "track": track.name,
+        "time_s": best.time,
+        "meshes": best.meshes,
+        "held": {
+            "time_s": held.time,
+            "period_s": held.period,
+            "asked_period_s": timing.dt,
+            **_feasibility(vehicle, track, held),
+        },
+        "seconds": round(time.perf_counter() - began, 2),
+    }
+    table = trajectory(best.solution)
+    stream = io.BytesIO()
+    table.to_parquet(stream, index=False)
+    write_bytes(folder.path / TRAJECTORY, stream.getvalue())
+    write_text(folder.path / RACELINE, tum_raceline(table))
+    write_json(folder.path / RESULT, facts)
+    folder.finish(seconds=facts["seconds"])
+    return facts
+
+
+def _feasibility(vehicle: Vehicle, track: Track, held: Held) -> dict[str, float]:
+    """Return how the lap fares in the race's integrator, started once and driven open loop."""
+    driven = replay(vehicle, held)
+    apart = driven[:2] - held.states[:2, :: held.substeps]
+    return {
+        "replay_apart_m": float(np.hypot(*apart).max()),
+        "replay_least_margin_m": float(margins(track, driven[0], driven[1]).min()),
+    }
+
+
+def trajectory(solution: Solution) -> pd.DataFrame:
+    """Return the lap as a table: time, path, motion and references."""
+    order = len(solution.stretch.s) // len(solution.durations)
+    columns = dict(zip(solution.vehicle.states, solution.cartesian, strict=True))
+    steering, drive = np.repeat(solution.references, order, axis=1)
+    path = np.hypot(np.diff(columns["x"], prepend=columns["x"][-1]), np.diff(columns["y"], prepend=columns["y"][-1]))
+    return pd.DataFrame(
+        {"t": solution.times, "distance": np.cumsum(path), **columns, "delta_ref": steering, "drive_ref": drive}
+    )
+
+
+def tum_raceline(table: pd.DataFrame) -> str:
+    """Return a TUM raceline: s, x, y, heading of the path (0 is +y), its curvature, speed and acceleration along it."""
+    x, y, t, s = (table[name].to_numpy() for name in ("x", "y", "t", "distance"))
+    speed = np.hypot(table["v_x"], table["v_y"]).to_numpy()
+    course = np.unwrap(table["yaw"].to_numpy() + np.arctan2(table["v_y"], table["v_x"]).to_numpy())
+    columns = {
+        "s_m": s - s[0],
+        "x_m": x,
+        "y_m": y,
+        "psi_rad": np.mod(course - np.pi / 2 + np.pi, 2 * np.pi) - np.pi,
+        "kappa_radpm": np.gradient(course, s),
+        "vx_mps": speed,
+        "ax_mps2": np.gradient(speed, t),
+    }
+    lines = pd.DataFrame(columns).to_csv(index=False, sep=";", float_format="%.6f", lineterminator="\n")
+    return "# " + lines.replace(";", "; ")
