@@ -1,14 +1,16 @@
 """The car's motion as a compiled kernel: the one derivative, traced by CasADi, written as C, built by the system's
 compiler at first use.
 
-`Vehicle.derivative` becomes one loop over 16 cars (see `codegen`). Parameters that differ between cars are inputs, all
-others constants. The library is checked against torch on random states before it is used. Without a compiler the same
-step runs on torch.
+`Vehicle.derivative` and its vector-Jacobian product become loops over 16 cars (see `codegen`). Parameters that differ
+between cars are inputs, all others constants. Gradients run backwards through the Runge–Kutta steps: with λ = ∂L/∂x',
+k̄_4 = hλ/6, k̄_3 = hλ/3 + h f_xᵀk̄_4, k̄_2 = hλ/3 + h/2 f_xᵀk̄_3, k̄_1 = hλ/6 + h/2 f_xᵀk̄_2, λ ← λ + Σ f_xᵀk̄_i. The
+library is checked against torch on random states before it is used. Without a compiler the step runs on torch.
 """
 
 import ctypes
 import logging
 from collections.abc import Sequence
+from typing import Any, cast
 
 import torch
 from torch import Tensor
@@ -45,38 +47,118 @@ static inline void settle(const real (*restrict x)[LANES], const real (*restrict
     }}
 }}
 
+/* (dx, du, dp) = kᵀ ∂f/∂(x, u, p) */
+static inline void pull_derivative(const real (*restrict x)[LANES], const real (*restrict u)[LANES],
+                                   const real (*restrict p)[LANES], const real (*restrict k)[LANES],
+                                   real (*restrict dx)[LANES], real (*restrict du)[LANES],
+                                   real (*restrict dp)[LANES]) {{
+    #pragma omp simd
+    for (int l = 0; l < LANES; l++) {{
+{pull_derivative}
+    }}
+}}
+
+static inline void pull_settle(const real (*restrict x)[LANES], const real (*restrict u)[LANES],
+                               const real (*restrict p)[LANES], const real (*restrict k)[LANES],
+                               real (*restrict dx)[LANES], real (*restrict du)[LANES], real (*restrict dp)[LANES]) {{
+    #pragma omp simd
+    for (int l = 0; l < LANES; l++) {{
+{pull_settle}
+    }}
+}}
+
 static void along(const real (*restrict x)[LANES], const real (*restrict k)[LANES], real h,
                   real (*restrict y)[LANES]) {{
     for (int i = 0; i < {states}; i++)
         for (int l = 0; l < LANES; l++) y[i][l] = x[i][l] + h * k[i][l];
 }}
 
+static void add(real (*restrict to)[LANES], const real (*restrict what)[LANES], int rows) {{
+    for (int i = 0; i < rows; i++)
+        for (int l = 0; l < LANES; l++) to[i][l] += what[i][l];
+}}
+
+/* the first rows of four tables for LANES cars from `first` on; the last car fills the lanes beyond it */
+static void load(const real *table, real (*restrict to)[LANES], int rows, long first, long n) {{
+    for (int i = 0; i < rows; i++)
+        for (int l = 0; l < LANES; l++) to[i][l] = table[i * n + (first + l < n ? first + l : n - 1)];
+}}
+
+static void store(real *table, const real (*restrict from)[LANES], int rows, long first, long n) {{
+    for (int i = 0; i < rows; i++)
+        for (int l = 0; l < LANES && first + l < n; l++) table[i * n + first + l] = from[i][l];
+}}
+
+typedef real States[{states}][LANES];
+
+static void stages(const States x, const real (*restrict u)[LANES], const real (*restrict p)[LANES], real h,
+                   States k1, States k2, States k3, States y2, States y3, States y4) {{
+    derivative(x, u, p, k1);
+    along(x, k1, h / 2, y2);
+    derivative(y2, u, p, k2);
+    along(x, k2, h / 2, y3);
+    derivative(y3, u, p, k3);
+    along(x, k3, h, y4);
+}}
+
+static void step(States x, const real (*restrict u)[LANES], const real (*restrict p)[LANES], real h) {{
+    States k1, k2, k3, k4, y2, y3, y4;
+    stages(x, u, p, h, k1, k2, k3, y2, y3, y4);
+    derivative(y4, u, p, k4);
+    for (int i = 0; i < {states}; i++)
+        for (int l = 0; l < LANES; l++) x[i][l] += h / 6 * (k1[i][l] + 2 * (k2[i][l] + k3[i][l]) + k4[i][l]);
+}}
+
 void advance(const real *state, const real *command, const real *parameters, real *out, long n, long steps,
              real h) {{
     for (long first = 0; first < n; first += LANES) {{
-        real x[{states}][LANES], y[{states}][LANES], u[2][LANES], p[{parameters} + 1][LANES];
-        real k1[{states}][LANES], k2[{states}][LANES], k3[{states}][LANES], k4[{states}][LANES];
-        for (int l = 0; l < LANES; l++) {{
-            long car = first + l < n ? first + l : n - 1;
-            for (int i = 0; i < {states}; i++) x[i][l] = state[i * n + car];
-            for (int i = 0; i < 2; i++) u[i][l] = command[i * n + car];
-            for (int i = 0; i < {parameters}; i++) p[i][l] = parameters[i * n + car];
-        }}
-        for (long step = 0; step < steps; step++) {{
-            derivative(x, u, p, k1);
-            along(x, k1, h / 2, y);
-            derivative(y, u, p, k2);
-            along(x, k2, h / 2, y);
-            derivative(y, u, p, k3);
-            along(x, k3, h, y);
-            derivative(y, u, p, k4);
-            for (int i = 0; i < {states}; i++)
-                for (int l = 0; l < LANES; l++)
-                    x[i][l] += h / 6 * (k1[i][l] + 2 * (k2[i][l] + k3[i][l]) + k4[i][l]);
-        }}
+        States x, y;
+        real u[2][LANES], p[{parameters} + 1][LANES];
+        load(state, x, {states}, first, n);
+        load(command, u, 2, first, n);
+        load(parameters, p, {parameters}, first, n);
+        for (long k = 0; k < steps; k++) step(x, u, p, h);
         settle(x, u, p, y);
-        for (int l = 0; l < LANES && first + l < n; l++)
-            for (int i = 0; i < {states}; i++) out[i * n + first + l] = y[i][l];
+        store(out, y, {states}, first, n);
+    }}
+}}
+
+/* cotangents of the state after `steps` steps → of state, command and parameters before them */
+void pull(const real *state, const real *command, const real *parameters, const real *cotangent, real *to_state,
+          real *to_command, real *to_parameters, long n, long steps, real h) {{
+    for (long first = 0; first < n; first += LANES) {{
+        States trace[steps + 1], g, d, k1, k2, k3, y2, y3, y4;
+        real u[2][LANES], p[{parameters} + 1][LANES];
+        real du[2][LANES], gu[2][LANES], dp[{parameters} + 1][LANES], gp[{parameters} + 1][LANES];
+        load(state, trace[0], {states}, first, n);
+        load(command, u, 2, first, n);
+        load(parameters, p, {parameters}, first, n);
+        for (long k = 0; k < steps; k++) {{
+            along(trace[k], trace[k], 0, trace[k + 1]);
+            step(trace[k + 1], u, p, h);
+        }}
+        load(cotangent, d, {states}, first, n);
+        pull_settle(trace[steps], u, p, d, g, gu, gp);
+        for (long k = steps - 1; k >= 0; k--) {{
+            States bar, total;
+            stages(trace[k], u, p, h, k1, k2, k3, y2, y3, y4);
+            const real (*at[4])[LANES] = {{trace[k], y2, y3, y4}};
+            const real share[4] = {{h / 6, h / 3, h / 3, h / 6}}, carried[4] = {{h / 2, h / 2, h, 0}};
+            along(g, g, 0, total);
+            for (int stage = 3; stage >= 0; stage--) {{
+                for (int i = 0; i < {states}; i++)
+                    for (int l = 0; l < LANES; l++)
+                        bar[i][l] = share[stage] * g[i][l] + (stage < 3 ? carried[stage] * d[i][l] : 0);
+                pull_derivative(at[stage], u, p, bar, d, du, dp);
+                add(total, d, {states});
+                add(gu, du, 2);
+                add(gp, dp, {parameters});
+            }}
+            along(total, total, 0, g);
+        }}
+        store(to_state, g, {states}, first, n);
+        store(to_command, gu, 2, first, n);
+        store(to_parameters, gp, {parameters}, first, n);
     }}
 }}
 """
@@ -97,36 +179,57 @@ class TorchMotion:
 
 
 class CompiledMotion:
-    """The step as a compiled kernel: single precision on the CPU."""
+    """The step as a compiled kernel: single precision on the CPU, differentiable."""
 
     name = "compiled"
 
     def __init__(self, library: ctypes.CDLL, dt: float, steps: int) -> None:
-        self._advance = library.advance
-        pointer = ctypes.c_void_p
-        self._advance.argtypes = [pointer] * 4 + [ctypes.c_long, ctypes.c_long, ctypes.c_float]
-        self._advance.restype = None
+        self._advance, self._pull = library.advance, library.pull
+        for function, tables in ((self._advance, 4), (self._pull, 7)):
+            function.argtypes = [ctypes.c_void_p] * tables + [ctypes.c_long, ctypes.c_long, ctypes.c_float]
+        self._advance.restype = self._pull.restype = None
         self.dt, self.steps = dt, steps
 
     def __call__(self, state: Tensor, command: Tensor, parameters: Tensor) -> Tensor:
         """Return the state (S, N) after `steps` steps, with per-car parameters (P, N)."""
-        state, command, parameters = state.contiguous(), command.contiguous(), parameters.contiguous()
-        out = torch.empty_like(state)
-        self._advance(
-            state.data_ptr(),
-            command.data_ptr(),
-            parameters.data_ptr(),
-            out.data_ptr(),
-            state.shape[1],
-            self.steps,
-            self.dt,
-        )
+        return cast(Tensor, _Advance.apply(state, command, parameters, self))
+
+    def advance(self, inputs: Sequence[Tensor]) -> Tensor:
+        """Return the state after the steps for contiguous state, command and parameters."""
+        out = torch.empty_like(inputs[0])
+        self._advance(*(t.data_ptr() for t in (*inputs, out)), out.shape[1], self.steps, self.dt)
         return out
+
+    def pull(self, inputs: Sequence[Tensor], cotangent: Tensor) -> tuple[Tensor, ...]:
+        """Return the cotangents of state, command and parameters for one of the state after the steps."""
+        cotangent = cotangent.contiguous()
+        found = tuple(map(torch.empty_like, inputs))
+        pointers = [t.data_ptr() for t in (*inputs, cotangent, *found)]
+        self._pull(*pointers, cotangent.shape[1], self.steps, self.dt)
+        return found
+
+
+class _Advance(torch.autograd.Function):
+    """The compiled step with its gradient."""
+
+    @staticmethod
+    def forward(ctx: Any, state: Tensor, command: Tensor, parameters: Tensor, motion: CompiledMotion) -> Tensor:
+        inputs = [t.contiguous() for t in (state, command, parameters)]
+        ctx.motion = motion
+        ctx.save_for_backward(*inputs)
+        return motion.advance(inputs)
+
+    @staticmethod
+    def backward(ctx: Any, *cotangents: Tensor) -> tuple[Tensor | None, ...]:
+        return (*ctx.motion.pull(ctx.saved_tensors, cotangents[0]), None)
+
+
+Motion = TorchMotion | CompiledMotion
 
 
 def choose_motion(
     vehicle: Vehicle, names: Sequence[str], dt: float, steps: int, device: torch.device, dtype: torch.dtype
-) -> TorchMotion | CompiledMotion:
+) -> Motion:
     """Return the fastest motion that this machine can run, for a car whose named parameters differ between cars."""
     reference = TorchMotion(vehicle, names, dt, steps)
     if device.type != "cpu" or dtype != torch.float32:
@@ -154,18 +257,22 @@ def source(vehicle: Vehicle, names: Sequence[str]) -> str:
     delta, omega = STATE.index("delta"), STATE.index("omega")
     rows[delta] = car.steering.position(rows[delta], command[0])
     rows[omega] = car.drive.position(rows[omega], command[1])
-    functions = {
-        "derivative": casadi.Function("derivative", inputs, [car.derivative(state, command, ops)]),
-        "settle": casadi.Function("settle", inputs, [ops.stack(rows)]),
-    }
-    bodies = {name: statements(function, ("x", "u", "p"), ("d",)) for name, function in functions.items()}
+    outcomes = {"derivative": car.derivative(state, command, ops), "settle": ops.stack(rows)}
+    bodies = {}
+    for name, outcome in outcomes.items():
+        function = casadi.Function(name, inputs, [outcome])
+        bodies[name] = statements(function, ("x", "u", "p"), ("d",))
+        cotangent = casadi.SX.sym("k", len(vehicle.states))
+        pulled = [casadi.densify(casadi.jtimes(outcome, of, cotangent, True)) for of in inputs]
+        function = casadi.Function(name, [*inputs, cotangent], pulled, {"cse": True})
+        bodies[f"pull_{name}"] = statements(function, ("x", "u", "p", "k"), ("dx", "du", "dp"))
     return TEMPLATE.format(
         precision=PRECISIONS["float"], lanes=LANES, states=len(vehicle.states), parameters=len(names), **bodies
     )
 
 
 def _deviation(compiled: CompiledMotion, reference: TorchMotion, parameters: int) -> float:
-    """Return the largest difference of one step on random states, relative to 1 + |value|."""
+    """Return the largest difference of one step and its gradients on random states, relative to 1 + |value|."""
     generator = torch.Generator().manual_seed(0)
     state = torch.rand(len(reference.vehicle.states), 64, generator=generator) - 0.5
     state[STATE.index("v_x")] += 2.0
@@ -174,5 +281,18 @@ def _deviation(compiled: CompiledMotion, reference: TorchMotion, parameters: int
     command[1] += 2.0
     nominal = values(reference.vehicle)
     table = torch.tensor([float(nominal[name]) for name in reference.names])[:, None].expand(parameters, 64)
-    expected, got = reference(state, command, table), compiled(state, command, table)
-    return float(((got - expected).abs() / (1.0 + expected.abs())).max().nan_to_num(torch.inf))
+    return max(
+        map(_apart, _with_gradients(compiled, state, command, table), _with_gradients(reference, state, command, table))
+    )
+
+
+def _with_gradients(motion: Motion, *inputs: Tensor) -> tuple[Tensor, ...]:
+    """Return the state after the step and the gradients of its sum by the inputs."""
+    leaves = [tensor.clone().requires_grad_() for tensor in inputs]
+    with torch.enable_grad():
+        out = motion(*leaves)
+        return out.detach(), *torch.autograd.grad(out.sum(), leaves, allow_unused=True, materialize_grads=True)
+
+
+def _apart(got: Tensor, expected: Tensor) -> float:
+    return float(((got - expected).abs() / (1.0 + expected.abs())).max().nan_to_num(torch.inf)) if got.numel() else 0.0

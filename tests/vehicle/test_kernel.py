@@ -48,6 +48,23 @@ def test_kernel_follows_torch_for_100_steps(any_car, count):
 
 
 @needs_compiler
+def test_gradients_follow_torch(any_car):
+    names = [name for name in NAMES if name in values(any_car)]
+    step = 0.001 if hasattr(any_car.drive, "current_limit") else 0.01
+    compiled = choose_motion(any_car, names, step, 5, CPU, torch.float32)
+    exact = TorchMotion(any_car, names, step, 5)
+    state, command = random_states(any_car, 37, seed=3)
+    direction = torch.randn(state.shape, generator=torch.Generator().manual_seed(1))
+
+    def pulled(motion, dtype):
+        inputs = [t.to(dtype).requires_grad_() for t in (state, 0.5 * command, tables(any_car, names, 37))]
+        return torch.autograd.grad((motion(*inputs) * direction.to(dtype)).sum(), inputs)
+
+    for got, expected in zip(pulled(compiled, torch.float32), pulled(exact, torch.float64), strict=True):
+        assert (got - expected).abs().max() <= 1e-4 * (1.0 + expected.abs().max())
+
+
+@needs_compiler
 def test_a_lost_car_stays_lost_and_alone(car):
     compiled = choose_motion(car, ["friction"], 0.01, 5, CPU, torch.float32)
     state, command = random_states(car, 40)
