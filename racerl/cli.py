@@ -84,7 +84,7 @@ def options(
 def train(overrides: Overrides = None) -> None:
     """Train a policy: racerl train +dr=friction_0.02 out=outputs/train/first
 
-    Groups: vehicle track sim obs action dr budget. `--cfg job` shows the composed configuration, `-m` runs several.
+    Groups: vehicle track sim obs action dr algo budget. `--cfg job` shows all settings, `-m` runs several.
     """
     _run("train", overrides, _train)
 
@@ -171,7 +171,8 @@ def _run(
 
 def _train(settings: "Settings", out: Path) -> None:
     from racerl.console import Bar, training_remark
-    from racerl.train.train import Progress, train
+    from racerl.train.session import Progress
+    from racerl.train.train import train
 
     console = _console()
     announced = False

@@ -6,7 +6,7 @@ from types import TracebackType
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from racerl.train.train import Progress as TrainProgress
+from racerl.train.session import Progress as TrainProgress
 
 PLAIN_PERIOD = 10.0  # s between lines without a terminal
 

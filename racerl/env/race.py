@@ -135,6 +135,15 @@ class Race:
         self._restart(torch.ones(self.count, device=self.device, dtype=torch.bool))
         return self.observe()
 
+    def place(self, mask: Tensor, state: Tensor, command: Tensor) -> None:
+        """Start the masked cars' episodes in given states (S, N) with given commands (2, N) behind them."""
+        apart = (state[X][:, None] - self.frame.x) ** 2 + (state[Y][:, None] - self.frame.y) ** 2
+        foot = self.frame.project(state[X], state[Y], apart.argmin(dim=1) * self.frame.spacing)
+        self._begin(mask, state, command, foot.s)
+        self.n = torch.where(mask, foot.n, self.n)
+        self.heading = torch.where(mask, wrap_angle(state[YAW] - foot.yaw), self.heading)
+        self._measure()
+
     def reseed(self, seeds: Sequence[int]) -> None:
         """Use new seeds from the next restart on."""
         self.dice = Dice(seeds, self.count, self.device, self.dtype)
@@ -203,14 +212,18 @@ class Race:
         fresh = torch.zeros_like(self.state)
         fresh[X], fresh[Y], fresh[YAW], fresh[V_X], fresh[OMEGA] = x, y, yaw, speed, speed
         command = torch.stack([torch.zeros_like(speed), self.action.initial(speed)])
-        self.state = torch.where(mask, fresh, self.state)
+        self._begin(mask, fresh, command, s)
+        self.n, self.heading = self.n.masked_fill(mask, 0.0), self.heading.masked_fill(mask, 0.0)
+        self._measure()
+
+    def _begin(self, mask: Tensor, state: Tensor, command: Tensor, s: Tensor) -> None:
+        """Begin the masked cars' episodes at s with these states and commands."""
+        self.state = torch.where(mask, state, self.state)
         self.command = torch.where(mask, command, self.command)
         self.command_rate = self.command_rate.masked_fill(mask, 0.0)
         self.still_time = self.still_time.masked_fill(mask, 0.0)
         self.age = self.age.masked_fill(mask, 0)
         self.s = torch.where(mask, s, self.s)
-        self.n, self.heading = self.n.masked_fill(mask, 0.0), self.heading.masked_fill(mask, 0.0)
-        self._measure()
         self.travelled = torch.where(mask, self.s.double(), self.travelled)
 
     def _report(self, faulty: Tensor) -> None:

@@ -26,6 +26,7 @@ ORDER = 2  # collocation points per interval
 MOST_TURN = 1.4  # rad, |ξ|
 GRIP_USED = 0.3  # of the weight, by the first guess in the tightest turn
 SLOWEST = 0.2  # of the first guess's speed
+LEAST_SHARE = 0.05  # of the corridor's width, left by `room`
 TIME_LIMIT = 60.0  # s for one solution
 N, XI, V_X, V_Y, YAW_RATE, DELTA, OMEGA = range(7)
 
@@ -107,10 +108,19 @@ def half_range(action: Action) -> float:
 
 
 class Collocation:
-    """The problem on one mesh."""
+    """The problem on one mesh, `room` metres inside the boundaries and with v_x up to `fastest` m/s."""
 
-    def __init__(self, vehicle: Vehicle, action: Action, corridor: Corridor, intervals: int) -> None:
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        action: Action,
+        corridor: Corridor,
+        intervals: int,
+        room: float = 0.0,
+        fastest: float = np.inf,
+    ) -> None:
         self.vehicle, self.action, self.intervals = vehicle, action, intervals
+        self.room, self.fastest = room, fastest
         self.integrated = action.integrated
         self.step = corridor.length / intervals
         tau = np.array(casadi.collocation_points(ORDER, "radau"))
@@ -124,7 +134,7 @@ class Collocation:
     def guess(self, sliding: float) -> Guess:
         """Return a lap along the line at one speed, with this sideslip in rad in the tightest turn, less in others."""
         tightest = max(1e-3, float(np.abs(self.stretch.curvature).max()))
-        speed = float(np.clip(np.sqrt(GRIP_USED * 9.81 / tightest), 0.5, 20.0))
+        speed = min(float(np.clip(np.sqrt(GRIP_USED * 9.81 / tightest), 0.5, 20.0)), self.fastest)
 
         def guess(points: Array, intervals: Array) -> tuple[Array, Array]:
             kappa = np.interp(points, self.shares, self.stretch.curvature)
@@ -191,9 +201,13 @@ class Collocation:
     def _bounds(self) -> tuple[Array, Array]:
         low = np.full((len(self.scale), len(self.shares)), -np.inf)
         high = -low
-        low[N], high[N] = self.stretch.low, self.stretch.high
+        # where the corridor is narrower than the room asked for, its middle is left
+        middle_n, half = (self.stretch.high + self.stretch.low) / 2, (self.stretch.high - self.stretch.low) / 2
+        half = np.maximum(half - self.room, LEAST_SHARE * half)
+        low[N], high[N] = middle_n - half, middle_n + half
         low[XI], high[XI] = -MOST_TURN, MOST_TURN
         low[V_X] = SLOWEST * self.guess(0.0)(self.shares[:1], self.shares[:1])[0][V_X]
+        high[V_X] = self.fastest
         low[DELTA], high[DELTA] = -self.action.steering_max, self.action.steering_max
         low[OMEGA] = 0.0
         if self.integrated:

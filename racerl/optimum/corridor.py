@@ -52,6 +52,18 @@ class Corridor:
         self._frame = FrenetFrame(track, dtype=torch.float64)
         self.length = float(self._arc[-1])
 
+    def along(self, centre: Array) -> Array:
+        """Return the line's s beside places (M,) of the centreline, both in m."""
+        u = np.interp(centre, self._centre, self._u)
+        return np.interp(u, self._u, self._arc)
+
+    def as_track(self, spacing: float) -> Track:
+        """Return the line as a track of its own, with the room beside it."""
+        count = round(self.length / spacing)
+        stretch = self.at(np.linspace(0.0, self.length, count, endpoint=False))
+        yaw = np.arctan2(np.sin(stretch.yaw), np.cos(stretch.yaw))
+        return Track("line", self.length, stretch.x, stretch.y, yaw, stretch.curvature, stretch.high, -stretch.low)
+
     def at(self, s: Array) -> Stretch:
         """Return the line and the room beside it at s (M,) in m."""
         u = np.interp(np.mod(s, self.length), self._arc, self._u)

@@ -62,7 +62,7 @@ def find_optimum(
     corridor = Corridor(track)
     narrowest = float((track.width_left + track.width_right).min() / 2)
     intervals = max(LEAST_INTERVALS, round(corridor.length / (COARSEST * narrowest)))
-    best = _best_start(Collocation(vehicle, action, corridor, intervals))
+    best = best_start(Collocation(vehicle, action, corridor, intervals))
     meshes = [{"intervals": intervals, "time_s": best.time}]
     for refinement in range(REFINEMENTS):
         on_share((1 + refinement) / (1 + REFINEMENTS))
@@ -75,7 +75,8 @@ def find_optimum(
     raise OptimumError(f"the lap time has not settled: it still moves by {change:.1%} at {intervals} intervals")
 
 
-def _best_start(problem: Collocation) -> Solution:
+def best_start(problem: Collocation) -> Solution:
+    """Return the best lap that the first guesses lead to; raise OptimumError when none leads to any."""
     found, complaint = [], OptimumError("")
     for sliding in SLIDING:
         try:

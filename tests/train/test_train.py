@@ -15,7 +15,7 @@ from racerl.config import compose_settings
 from racerl.control.policy import load_policy
 from racerl.errors import ConfigError, RunError
 from racerl.run import RunFolder
-from racerl.train import train as stage
+from racerl.train.algorithms import ppo as stage
 from racerl.train.checkpoint import FILE as CHECKPOINT
 from racerl.train.train import train
 

@@ -1,0 +1,56 @@
+"""Laps of rising pace, from a gentle one to nearly the fastest possible: rungs for a car to climb.
+
+All keep off the boundaries and leave some of the action's range for feedback; the top one assumes a little less grip.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from racerl.env.actions import Action
+from racerl.optimum.collocation import V_X, Collocation, Solution
+from racerl.optimum.corridor import Corridor
+from racerl.optimum.optimum import best_start
+from racerl.track.track import Track
+from racerl.vehicle.vehicle import Vehicle
+
+INTERVAL = 0.33  # of the narrowest half-width
+PACES = (0.95, 0.8, 0.6, 0.4)  # of the top rung's greatest v_x
+ALIKE = 0.7  # above this pace a lap is looked for near the one above it
+
+
+@dataclass(frozen=True)
+class Reserve:
+    """What a rung leaves unused."""
+
+    room: float  # of the narrowest half-width, to the boundaries
+    grip: float
+    rate: float  # of the drive's rate
+    steering: float
+
+
+TOP = Reserve(room=0.1, grip=0.02, rate=0.1, steering=0.0)
+BELOW = Reserve(room=0.16, grip=0.02, rate=0.4, steering=0.1)
+
+
+def find_ladder(vehicle: Vehicle, track: Track, action: Action, corridor: Corridor) -> list[Solution]:
+    """Return laps of rising pace; raise OptimumError when one is not found."""
+    top = best_start(_problem(vehicle, track, action, corridor, TOP, np.inf))
+    greatest = float(top.states[V_X].max())
+    rungs = [top]
+    for pace in PACES:
+        problem = _problem(vehicle, track, action, corridor, BELOW, pace * greatest)
+        rungs.append(problem.solve(rungs[-1].guess if pace > ALIKE else problem.guess(0.0)))
+    return rungs[::-1]
+
+
+def _problem(
+    vehicle: Vehicle, track: Track, action: Action, corridor: Corridor, reserve: Reserve, fastest: float
+) -> Collocation:
+    narrowest = float((track.width_left + track.width_right).min() / 2)
+    intervals = max(60, round(corridor.length / (INTERVAL * narrowest)))
+    car = replace(vehicle, friction=(1 - reserve.grip) * vehicle.friction)
+    share = {"steering_max": (1 - reserve.steering) * action.steering_max}
+    if action.integrated:
+        share["rate_max"] = (1 - reserve.rate) * action.rate_max
+    return Collocation(car, replace(action, **share), corridor, intervals, reserve.room * narrowest, fastest)  # type: ignore[type-var]

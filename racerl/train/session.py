@@ -1,0 +1,122 @@
+"""A training session: its run folder, its examinations, the best policy so far, and what a user sees of it."""
+
+import json
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat
+from torch import nn
+
+from racerl.assemble import build_race
+from racerl.control.policy import Policy, save_policy
+from racerl.env.race import Race
+from racerl.env.termination import Crash
+from racerl.evaluate.drive import drive
+from racerl.evaluate.laps import score
+from racerl.run import RunFolder
+
+PROGRESS = "progress.jsonl"
+EVALUATION_CARS, EVALUATION_LAPS = 16, 1  # cars of the training's own randomization
+EVALUATION_SEED = 1_000_003
+
+
+@dataclass(frozen=True)
+class Progress:
+    """What a user wants to see while it trains."""
+
+    steps: int
+    total_steps: int
+    seconds: float
+    steps_per_s: float
+    reward: float  # mean per step of the last rollout
+    evaluation: Mapping[str, Any]  # of the current policy, empty before the first
+
+
+class JsonLines(KVWriter):
+    """Appends each record of the logger as one line of JSON."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def write(self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0) -> None:
+        """Append the finite numbers among the values."""
+        numbers = {key: float(value) for key, value in sorted(key_values.items())}
+        record = {"steps": step} | {key: value for key, value in numbers.items() if math.isfinite(value)}
+        with self.path.open("a", encoding="utf-8") as stream:
+            stream.write(json.dumps(record) + "\n")
+
+    def close(self) -> None:
+        """Nothing is kept open."""
+
+
+class Examiner:
+    """Races a policy against the clock, always from the same starts, in cars of the training's randomization."""
+
+    def __init__(self, settings: Mapping[str, Any], device: torch.device) -> None:
+        unlimited = {**settings, "sim": {**settings["sim"], "max_steps": 2**31}}
+        self.seeds = [EVALUATION_SEED + i for i in range(EVALUATION_CARS)]
+        self.race = build_race(unlimited, cars=EVALUATION_CARS, seeds=self.seeds, device=device, termination=Crash())
+
+    def examine(self, policy: Policy) -> dict[str, Any]:
+        """Return the score of a flying lap of each car."""
+        self.race.reseed(self.seeds)
+        self.race.reset()
+        return score(drive(self.race, policy, EVALUATION_LAPS))
+
+
+def rank(result: Mapping[str, Any]) -> tuple[float, float, float]:
+    """Return a key that is smaller for a better result: fewer crashes, more valid laps, then faster."""
+    return result["crash_share"], -result["valid_laps"], result["mean_lap_s"] or math.inf
+
+
+class Session:
+    """What every algorithm trains in; the folder is started once the algorithm knows that it can."""
+
+    def __init__(
+        self,
+        settings: Mapping[str, Any],
+        out: Path,
+        device: torch.device,
+        on_progress: Callable[[Progress], None],
+    ) -> None:
+        self.settings, self.out, self.device, self.on_progress = settings, out, device, on_progress
+        self.seed: int = settings["seed"]
+        self.examiner = Examiner(settings, device)
+        self.best: dict[str, Any] | None = None
+        self.last: dict[str, Any] = {}
+        self.earlier_seconds = 0.0  # of the run before it was resumed
+        self._began = time.perf_counter()
+
+    def start(self) -> None:
+        """Create the run folder, or continue in it; the clock starts."""
+        facts = {"seed": self.seed, "threads": self.settings["threads"], "device": str(self.device)}
+        self.folder = RunFolder.start(self.out, "train", self.settings, **facts)
+        tensorboard = TensorBoardOutputFormat(str(self.folder.path / "tensorboard"))
+        self.logger = Logger(None, [tensorboard, JsonLines(self.folder.path / PROGRESS)])
+        self._began = time.perf_counter()
+
+    @property
+    def seconds(self) -> float:
+        """Training time in s, earlier sessions included, evaluations too."""
+        return self.earlier_seconds + time.perf_counter() - self._began
+
+    def examine(self, policy: Policy, steps: int) -> None:
+        """Evaluate a policy and keep it when it is the best so far."""
+        self.last = {**self.examiner.examine(policy), "steps": steps}
+        for key, value in self.last.items():
+            if isinstance(value, (int, float)):
+                self.logger.record(f"evaluation/{key}", value)
+        if self.best is None or rank(self.last) <= rank(self.best):
+            self.best = self.last
+            save_policy(policy, self.folder.path, evaluation=self.best)
+
+
+def policy_of(network: nn.Sequential, race: Race, settings: Mapping[str, Any]) -> Policy:
+    """Return a network as a policy for the race it learns in, sharing its weights."""
+    observation = {"name": settings["obs"]["name"], **vars(race.observation)}
+    return Policy(network, observation, settings["action"])

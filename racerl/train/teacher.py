@@ -1,0 +1,94 @@
+"""A teacher for the race: laps of rising pace with feedback, which a policy can be asked to imitate.
+
+A car is driven by the fastest lap that it is near enough to, so that it climbs from a standing start to nearly the
+time-optimal lap. "Near" is Σ (e/b)² of the deviations e from a lap at the car's place, with basins b of a few times the
+feedback's tolerances.
+"""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from racerl.env.race import Race
+from racerl.optimum.corridor import Corridor
+from racerl.optimum.feedback import PLACES, Feedback, regulate
+from racerl.optimum.ladder import find_ladder
+from racerl.track.frenet import FrenetFrame, wrap_angle
+from racerl.track.track import SPACING
+
+HELD, CLIMBED = 1.0, 2.0  # Σ (e/b)² below which a lap is held, and the next one tried
+BASIN = 3.0  # of the tolerances of place and heading
+BASIN_SPEED = 2.0  # of those of speeds
+START_SPREAD = 1.0  # standard deviation of starts on the fastest lap, of the tolerances
+
+
+class Teacher:
+    """Actions for all cars of a race."""
+
+    def __init__(self, race: Race) -> None:
+        corridor = Corridor(race.track)
+        width = float((race.track.width_left + race.track.width_right).min() / 2)
+        self.laps = find_ladder(race.vehicle, race.track, race.action, corridor)
+        timing = race.timing
+        rungs = [regulate(lap, race.action, corridor, width, timing.dt, timing.substeps) for lap in self.laps]
+        self._along = torch.as_tensor(
+            corridor.along(np.linspace(0.0, race.track.length, len(race.track.x), endpoint=False)), dtype=race.dtype
+        )
+        self.frame = FrenetFrame(corridor.as_track(SPACING), race.device, race.dtype)
+
+        def table(values: list[np.ndarray]) -> Tensor:
+            return torch.as_tensor(np.stack(values), dtype=race.dtype, device=race.device)
+
+        self.states, self.actions = table([r.states for r in rungs]), table([r.actions for r in rungs])  # (L, M, …)
+        self.gains = table([rung.gains for rung in rungs])
+        self.tolerances = table([rungs[-1].tolerances])[0]
+        self.basin = table([_basin(rungs[-1])])[0]
+
+    def __call__(self, race: Race) -> Tensor:
+        """Return the actions (N, 2), which may reach beyond ± 1."""
+        s, z = self._place(race)
+        position = s / self.frame.length * PLACES
+        cell = position.floor()
+        share, index = (position - cell)[:, None], cell.long() % PLACES
+        following = (index + 1) % PLACES
+        deviation = z - torch.lerp(self.states[:, index], self.states[:, following], share)  # (L, N, Z)
+        action = torch.lerp(self.actions[:, index], self.actions[:, following], share)
+        action = action - (self.gains[:, index] @ deviation[..., None])[..., 0]
+        rung = self._choose(((deviation / self.basin) ** 2).sum(dim=2))
+        return action[rung, torch.arange(len(rung), device=rung.device)]
+
+    def _choose(self, distance: Tensor) -> Tensor:
+        """Return the lap (N,) for each car from its distances (L, N) to all."""
+        order = torch.arange(len(distance), device=distance.device)[:, None]
+        held = torch.where(distance < HELD, order, -1).amax(dim=0)
+        rung = torch.where(held >= 0, held, distance.argmin(dim=0))
+        above = (rung + 1).clamp(max=len(distance) - 1)
+        reachable = distance.gather(0, above[None])[0] < CLIMBED
+        return torch.where(reachable, above, rung)
+
+    def _place(self, race: Race) -> tuple[Tensor, Tensor]:
+        """Return the cars' s along the line and states z (N, Z) relative to it."""
+        near = self._along[(race.s / race.frame.spacing).round().long() % race.frame.count]
+        foot = self.frame.project(race.state[0], race.state[1], near)
+        rows = [foot.n, wrap_angle(race.state[2] - foot.yaw), *race.state[3:]]
+        if race.action.integrated:
+            rows.append(race.command[1])
+        return foot.s, torch.stack(rows, dim=1)
+
+    def start(self, race: Race, mask: Tensor, generator: torch.Generator) -> None:
+        """Put the masked cars somewhere near the fastest lap."""
+        index = torch.randint(0, PLACES, (race.count,), generator=generator)
+        spread = torch.nan_to_num(self.tolerances, posinf=0.0) * START_SPREAD
+        z = self.states[-1, index] + spread * torch.randn(race.count, len(spread), generator=generator)
+        x, y, yaw = self.frame.position(index * (self.frame.length / PLACES), z[:, 0])
+        size = len(race.vehicle.states)
+        state = torch.stack([x, y, yaw + z[:, 1], *z[:, 2 : size - 1].T])
+        drive = z[:, -1] if race.action.integrated else race.action.initial(z[:, 6])
+        steering = z[:, 5].clamp(-race.action.steering_max, race.action.steering_max)
+        race.place(mask, state, torch.stack([steering, drive.clamp(race.action.drive_min, race.action.drive_max)]))
+
+
+def _basin(feedback: Feedback) -> np.ndarray:
+    factor = np.full(len(feedback.tolerances), BASIN_SPEED)
+    factor[:2] = BASIN
+    return feedback.tolerances * factor
