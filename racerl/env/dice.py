@@ -11,28 +11,25 @@ from torch import Tensor
 
 
 class Dice:
-    """Uniform and normal draws of shape (rows, N)."""
+    """Uniform and normal draws for some cars, of shape (rows, K)."""
 
     def __init__(self, seeds: Sequence[int], count: int, device: torch.device, dtype: torch.dtype) -> None:
         self.count, self.device, self.dtype = count, device, dtype
         self.generators = [torch.Generator(device).manual_seed(seed) for seed in seeds]
 
-    def uniform(self, rows: int, mask: Tensor) -> Tensor:
-        """Return draws from [0, 1) for the masked cars; what others get is unspecified."""
-        return self._draw(torch.rand, rows, mask)
+    def uniform(self, rows: int, cars: Tensor) -> Tensor:
+        """Return draws from [0, 1) for the cars of these numbers (K,)."""
+        return self._draw(torch.rand, rows, cars)
 
-    def normal(self, rows: int, mask: Tensor) -> Tensor:
-        """Return draws from N(0, 1) for the masked cars; what others get is unspecified."""
-        return self._draw(torch.randn, rows, mask)
+    def normal(self, rows: int, cars: Tensor) -> Tensor:
+        """Return draws from N(0, 1) for the cars of these numbers (K,)."""
+        return self._draw(torch.randn, rows, cars)
 
-    def _draw(self, source: Callable[..., Tensor], rows: int, mask: Tensor) -> Tensor:
+    def _draw(self, source: Callable[..., Tensor], rows: int, cars: Tensor) -> Tensor:
         kind: dict[str, Any] = {"device": self.device, "dtype": self.dtype}
         if len(self.generators) == 1:
-            return source(rows, self.count, generator=self.generators[0], **kind)
-        draws = torch.zeros(rows, self.count, **kind)
-        for car in mask.nonzero().flatten().tolist():
-            draws[:, car] = source(rows, generator=self.generators[car], **kind)
-        return draws
+            return source(rows, len(cars), generator=self.generators[0], **kind)
+        return torch.stack([source(rows, generator=self.generators[car], **kind) for car in cars.tolist()], dim=1)
 
     def snapshot(self) -> Tensor:
         """Return the state of all generators, (G, bytes)."""

@@ -20,7 +20,7 @@ from racerl.env.randomize import ParameterDraws, Randomization
 from racerl.env.reward import progress_reward
 from racerl.env.termination import STOP_SPEED, OffTrack, Termination
 from racerl.errors import ConfigError
-from racerl.track.frenet import FrenetFrame, wrap_angle
+from racerl.track.frenet import Foot, FrenetFrame, wrap_angle
 from racerl.track.track import Track
 from racerl.vehicle.kernel import choose_motion
 from racerl.vehicle.vehicle import STATE, Vehicle
@@ -110,6 +110,8 @@ class Race:
             self.vehicle, self.draws.names, self.timing.step, self.timing.substeps, self.device, self.dtype
         )
         self.faults = 0
+        self._nobody = torch.zeros(self.count, device=self.device, dtype=torch.bool)
+        self._constants: dict[tuple[float, ...], Tensor] = {}
         zeros = torch.zeros(self.count, device=self.device, dtype=self.dtype)
         self.state = torch.zeros(len(self.vehicle.states), self.count, device=self.device, dtype=self.dtype)
         self.command = torch.zeros(2, self.count, device=self.device, dtype=self.dtype)
@@ -126,6 +128,13 @@ class Race:
     delta = property(lambda self: self.state[DELTA])
     omega = property(lambda self: self.state[OMEGA])
 
+    def constant(self, numbers: Sequence[float]) -> Tensor:
+        """Return numbers as a tensor beside the race's own, made once."""
+        key = tuple(numbers)
+        if key not in self._constants:
+            self._constants[key] = torch.tensor(key, device=self.device, dtype=self.dtype)
+        return self._constants[key]
+
     def observe(self) -> Tensor:
         """Return the observation (N, O), inside ± OBSERVATION_LIMIT."""
         return self.observation(self).clamp(-OBSERVATION_LIMIT, OBSERVATION_LIMIT)
@@ -135,14 +144,11 @@ class Race:
         self._restart(torch.ones(self.count, device=self.device, dtype=torch.bool))
         return self.observe()
 
-    def place(self, mask: Tensor, state: Tensor, command: Tensor) -> None:
-        """Start the masked cars' episodes in given states (S, N) with given commands (2, N) behind them."""
+    def place(self, cars: Tensor, state: Tensor, command: Tensor) -> None:
+        """Begin the episodes of the cars of these numbers (K,) in states (S, K), with commands (2, K) behind them."""
         apart = (state[X][:, None] - self.frame.x) ** 2 + (state[Y][:, None] - self.frame.y) ** 2
         foot = self.frame.project(state[X], state[Y], apart.argmin(dim=1) * self.frame.spacing)
-        self._begin(mask, state, command, foot.s)
-        self.n = torch.where(mask, foot.n, self.n)
-        self.heading = torch.where(mask, wrap_angle(state[YAW] - foot.yaw), self.heading)
-        self._measure()
+        self._begin(cars, state, command, foot)
 
     def reseed(self, seeds: Sequence[int]) -> None:
         """Use new seeds from the next restart on."""
@@ -153,16 +159,18 @@ class Race:
         """Drive all cars for one control step with actions (N, 2) in [−1, 1]; outside values are clamped."""
         self._apply(action)
         progress, faulty = self._move()
-        ended = self.termination(self) & ~faulty
-        truncated = (self.age >= self.timing.max_steps) & ~ended & ~faulty
+        ended = self.termination(self)
+        truncated = self.age >= self.timing.max_steps
+        if faulty is not self._nobody:
+            ended, truncated = ended & ~faulty, truncated & ~faulty
+        truncated = truncated & ~ended
         reward = progress_reward(progress, ended, faulty)
         final, command, margin = self.observe(), self.command, self.margin
         over = ended | truncated | faulty
+        observation = final
         if bool(over.any()):
             self._restart(over)
             observation = self.observe()
-        else:
-            observation = final
         return Step(observation, reward, ended | faulty, truncated, final, progress, command, margin, faulty)
 
     def _apply(self, action: Tensor) -> None:
@@ -173,9 +181,9 @@ class Race:
 
     def _move(self) -> tuple[Tensor, Tensor]:
         """Integrate and project; return the progress in m and the cars whose state is no longer finite."""
-        moved = self.motion(self.state, self.command, self.draws.values)
-        faulty = ~torch.isfinite(moved).all(dim=0)
-        if bool(faulty.any()):
+        moved, faulty = self.motion(self.state, self.command, self.draws.values), self._nobody
+        if not bool(torch.isfinite(moved.sum())):
+            faulty = ~torch.isfinite(moved).all(dim=0)
             self._report(faulty)
             # the state before may be broken too; the car is started over after this step
             moved = torch.where(faulty, self.state.nan_to_num(0.0, 0.0, 0.0), moved)
@@ -185,8 +193,7 @@ class Race:
         self._locate()
         progress = self.frame.difference(self.s, last)
         self.travelled = self.travelled + progress
-        still = self.v_x.abs() < STOP_SPEED
-        self.still_time = torch.where(still, self.still_time + self.timing.dt, torch.zeros_like(self.still_time))
+        self.still_time = (self.still_time + self.timing.dt) * (self.v_x.abs() < STOP_SPEED)
         return progress, faulty
 
     def _locate(self) -> None:
@@ -196,35 +203,34 @@ class Race:
         self._measure()
 
     def _measure(self) -> None:
-        """Update the distance to the boundary and to the middle of the track from s and n."""
-        left = self.frame.lookup(self.frame.width_left, self.s)
-        right = self.frame.lookup(self.frame.width_right, self.s)
-        self.margin = torch.minimum(left - self.n, right + self.n)
-        self.offset = self.n - (left - right) / 2
+        """Update the offset from the middle of the track and the distance to its boundary from s and n."""
+        self.offset = self.n - self.frame.lookup(self.frame.middle, self.s)
+        self.margin = self.frame.lookup(self.frame.half_width, self.s) - self.offset.abs()
 
     def _restart(self, mask: Tensor) -> None:
         """Start the masked cars at a random place on the centreline, along it, with new parameters."""
-        self.draws.draw(mask, self.dice)
-        place, pace = self.dice.uniform(2, mask)
+        cars = mask.nonzero()[:, 0]
+        self.draws.draw(cars, self.dice)
+        place, pace = self.dice.uniform(2, cars)
         s = self.frame.wrap(place * self.track.length)
         speed = START_SPEED_MIN + pace * (START_SPEED_MAX - START_SPEED_MIN)
-        x, y, yaw = self.frame.position(s, torch.zeros_like(s))
-        fresh = torch.zeros_like(self.state)
-        fresh[X], fresh[Y], fresh[YAW], fresh[V_X], fresh[OMEGA] = x, y, yaw, speed, speed
-        command = torch.stack([torch.zeros_like(speed), self.action.initial(speed)])
-        self._begin(mask, fresh, command, s)
-        self.n, self.heading = self.n.masked_fill(mask, 0.0), self.heading.masked_fill(mask, 0.0)
-        self._measure()
+        still = torch.zeros_like(s)
+        x, y, yaw = self.frame.position(s, still)
+        rest = [still] * (len(self.vehicle.states) - len(STATE))
+        state = torch.stack([x, y, yaw, speed, still, still, still, speed, *rest])
+        self._begin(cars, state, torch.stack([still, self.action.initial(speed)]), Foot(s, still, yaw))
 
-    def _begin(self, mask: Tensor, state: Tensor, command: Tensor, s: Tensor) -> None:
-        """Begin the masked cars' episodes at s with these states and commands."""
-        self.state = torch.where(mask, state, self.state)
-        self.command = torch.where(mask, command, self.command)
-        self.command_rate = self.command_rate.masked_fill(mask, 0.0)
-        self.still_time = self.still_time.masked_fill(mask, 0.0)
-        self.age = self.age.masked_fill(mask, 0)
-        self.s = torch.where(mask, s, self.s)
-        self.travelled = torch.where(mask, self.s.double(), self.travelled)
+    def _begin(self, cars: Tensor, state: Tensor, command: Tensor, foot: Foot) -> None:
+        """Begin the episodes of the cars of these numbers (K,) in states (S, K) with their feet on the centreline."""
+        self.state = self.state.index_copy(1, cars, state)
+        self.command = self.command.index_copy(1, cars, command)
+        self.command_rate = self.command_rate.index_fill(0, cars, 0.0)
+        self.still_time = self.still_time.index_fill(0, cars, 0.0)
+        self.age = self.age.index_fill(0, cars, 0)
+        self.s, self.n = self.s.index_copy(0, cars, foot.s), self.n.index_copy(0, cars, foot.n)
+        self.heading = self.heading.index_copy(0, cars, wrap_angle(state[YAW] - foot.yaw))
+        self._measure()
+        self.travelled = self.travelled.index_copy(0, cars, foot.s.double())
 
     def _report(self, faulty: Tensor) -> None:
         """Count cars whose simulation failed and log the state they failed from."""

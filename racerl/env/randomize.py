@@ -60,10 +60,10 @@ class ParameterDraws:
         self._high = column([bounds[name].high for name in self.names])
         self.values = self._nominal.expand(-1, count).clone()  # (P, N)
 
-    def draw(self, mask: Tensor, dice: Dice) -> None:
-        """Draw new parameters for the masked cars."""
+    def draw(self, cars: Tensor, dice: Dice) -> None:
+        """Draw new parameters for the cars of these numbers (K,)."""
         if not self.names:
             return
-        noise = dice.normal(len(self.names), mask)
+        noise = dice.normal(len(self.names), cars)
         fresh = (self._nominal * (1.0 + self.sigma * noise)).clamp(self._low, self._high)
-        self.values = torch.where(mask, fresh, self.values)
+        self.values = self.values.index_copy(1, cars, fresh)

@@ -5,6 +5,9 @@ downhill to the bottom of its valley. On a regular stretch that valley stays the
 the track comes closer, so a car never jumps across an infield. In a hairpin tighter than the track is wide, 1 − κn
 vanishes inside the track; valleys meet there, parted by ridges of a percent, and the walk steps over those.
 
+On the CPU in single precision the walk and the look-ups run as compiled C (`racerl.track.kernel`); the tensors below
+say the same and run everywhere else.
+
 Within a table cell the centreline is an arc of its curvature κ. With (a, b) the car relative to the cell's point,
 along and left of it:  Δs = atan(κa/(1 − κb))/κ,  n = (2b − κ(a² + b²))/(1 + √((1 − κb)² + κ²a²)).
 """
@@ -15,6 +18,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from racerl.track.kernel import load_kernel
 from racerl.track.track import Track
 
 REACH = 2.0  # m of centreline searched to either side of the last foot point
@@ -51,9 +55,17 @@ class FrenetFrame:
             table(track.width_left),
             table(track.width_right),
         )
+        # n of the track's middle, and from there to either boundary
+        self.middle = (self.width_left - self.width_right) / 2
+        self.half_width = (self.width_left + self.width_right) / 2
         cells = min(round(REACH / self.spacing), (self.count - 1) // 2)
         self._window = torch.arange(-cells, cells + 1, device=device)
         self._middle = cells
+        cpu = torch.device(device).type == "cpu" and dtype == torch.float32
+        self._kernel = load_kernel(RIDGE, SMALLEST_STRETCH) if cpu else None
+        # what the walk reads of a cell: x, y, yaw, its cosine and sine, curvature
+        rows = [self.x, self.y, self.yaw, torch.cos(self.yaw), torch.sin(self.yaw), self.curvature]
+        self._cells = torch.stack(rows, dim=1).contiguous()
 
     def wrap(self, s: Tensor) -> Tensor:
         """Return s in [0, length)."""
@@ -66,15 +78,13 @@ class FrenetFrame:
 
     def lookup(self, table: Tensor, s: Tensor) -> Tensor:
         """Interpolate a table linearly and periodically at s of any shape."""
+        if self._kernel is not None and not s.requires_grad:
+            return self._kernel.lookup(table, s, self.spacing)
         position = self.wrap(s) / self.spacing
         cell = position.floor()
         share = position - cell
         index = cell.long() % self.count
         return torch.lerp(table[index], table[(index + 1) % self.count], share)
-
-    def half_width(self, s: Tensor) -> Tensor:
-        """Return half of the total width at s in m."""
-        return (self.lookup(self.width_left, s) + self.lookup(self.width_right, s)) / 2
 
     def position(self, s: Tensor, n: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return x, y and the centreline's yaw at (s, n), exact to the arc within a cell."""
@@ -90,6 +100,8 @@ class FrenetFrame:
 
     def project(self, x: Tensor, y: Tensor, s_last: Tensor) -> Foot:
         """Return the foot points of cars at x, y (N,) that were last at s_last (N,)."""
+        if self._kernel is not None:
+            return Foot(*self._kernel.project(self._cells, x, y, s_last, self.spacing, self._middle))
         nearest = (self.wrap(s_last) / self.spacing).round().long()
         window = (nearest[:, None] + self._window) % self.count
         squared = (x[:, None] - self.x[window]) ** 2 + (y[:, None] - self.y[window]) ** 2

@@ -75,17 +75,17 @@ class Teacher:
             rows.append(race.command[1])
         return foot.s, torch.stack(rows, dim=1)
 
-    def start(self, race: Race, mask: Tensor, generator: torch.Generator) -> None:
-        """Put the masked cars somewhere near the fastest lap."""
-        index = torch.randint(0, PLACES, (race.count,), generator=generator)
+    def start(self, race: Race, cars: Tensor, generator: torch.Generator) -> None:
+        """Put the cars of these numbers (K,) somewhere near the fastest lap."""
+        index = torch.randint(0, PLACES, (len(cars),), generator=generator)
         spread = torch.nan_to_num(self.tolerances, posinf=0.0) * START_SPREAD
-        z = self.states[-1, index] + spread * torch.randn(race.count, len(spread), generator=generator)
+        z = self.states[-1, index] + spread * torch.randn(len(cars), len(spread), generator=generator)
         x, y, yaw = self.frame.position(index * (self.frame.length / PLACES), z[:, 0])
         size = len(race.vehicle.states)
         state = torch.stack([x, y, yaw + z[:, 1], *z[:, 2 : size - 1].T])
         drive = z[:, -1] if race.action.integrated else race.action.initial(z[:, 6])
         steering = z[:, 5].clamp(-race.action.steering_max, race.action.steering_max)
-        race.place(mask, state, torch.stack([steering, drive.clamp(race.action.drive_min, race.action.drive_max)]))
+        race.place(cars, state, torch.stack([steering, drive.clamp(race.action.drive_min, race.action.drive_max)]))
 
 
 def _basin(feedback: Feedback) -> np.ndarray:

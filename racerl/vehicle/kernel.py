@@ -15,7 +15,7 @@ from typing import Any, cast
 import torch
 from torch import Tensor
 
-from racerl.vehicle.codegen import PRECISIONS, build, statements
+from racerl.vehicle.codegen import build, precision, statements
 from racerl.vehicle.integrate import advance
 from racerl.vehicle.ops import TORCH, CasadiOps
 from racerl.vehicle.parameter import replace_values, values
@@ -267,7 +267,7 @@ def source(vehicle: Vehicle, names: Sequence[str]) -> str:
         function = casadi.Function(name, [*inputs, cotangent], pulled, {"cse": True})
         bodies[f"pull_{name}"] = statements(function, ("x", "u", "p", "k"), ("dx", "du", "dp"))
     return TEMPLATE.format(
-        precision=PRECISIONS["float"], lanes=LANES, states=len(vehicle.states), parameters=len(names), **bodies
+        precision=precision("float"), lanes=LANES, states=len(vehicle.states), parameters=len(names), **bodies
     )
 
 

@@ -20,6 +20,7 @@ class Ops(Protocol):
     def sin(self, x: Scalar) -> Scalar: ...  # noqa: D102
     def cos(self, x: Scalar) -> Scalar: ...  # noqa: D102
     def atan(self, x: Scalar) -> Scalar: ...  # noqa: D102
+    def sqrt(self, x: Scalar) -> Scalar: ...  # noqa: D102
     def tanh(self, x: Scalar) -> Scalar: ...  # noqa: D102
     def exp(self, x: Scalar) -> Scalar: ...  # noqa: D102
     def abs(self, x: Scalar) -> Scalar: ...  # noqa: D102
@@ -44,6 +45,7 @@ class TorchOps:
     sin = _unary(torch.sin, math.sin)
     cos = _unary(torch.cos, math.cos)
     atan = _unary(torch.atan, math.atan)
+    sqrt = _unary(torch.sqrt, math.sqrt)
     tanh = _unary(torch.tanh, math.tanh)
     exp = _unary(torch.exp, math.exp)
     abs = _unary(torch.abs, abs)
@@ -94,6 +96,7 @@ class CasadiOps:
         import casadi
 
         self.sin, self.cos, self.atan, self.tanh = casadi.sin, casadi.cos, casadi.atan, casadi.tanh
+        self.sqrt = casadi.sqrt
         self.exp, self.abs, self.sign = casadi.exp, casadi.fabs, casadi.sign
         self.minimum, self.maximum, self.where = casadi.fmin, casadi.fmax, casadi.if_else
         self._vertcat, self._vertsplit = casadi.vertcat, casadi.vertsplit

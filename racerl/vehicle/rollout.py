@@ -27,7 +27,7 @@ import torch
 from numpy.typing import NDArray
 
 from racerl.vehicle.actuator import Instant
-from racerl.vehicle.codegen import PRECISIONS, build, statements
+from racerl.vehicle.codegen import build, precision, statements
 from racerl.vehicle.integrate import rk4
 from racerl.vehicle.ops import TORCH, CasadiOps
 from racerl.vehicle.parameter import replace_values, values
@@ -383,7 +383,7 @@ def source(vehicle: Vehicle, names: Sequence[str], observed: Sequence[str], acti
         for index, (i, j) in enumerate(zip(*f_p.sparsity().get_triplet(), strict=True))
     ]
     return TEMPLATE.format(
-        precision=PRECISIONS["double"],
+        precision=precision("double"),
         lanes=LANES,
         states=len(vehicle.states),
         active=len(active),

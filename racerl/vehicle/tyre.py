@@ -14,6 +14,11 @@ from racerl.vehicle.ops import Ops, Scalar
 from racerl.vehicle.parameter import parameter
 
 
+def cos_atan(x: Scalar, ops: Ops) -> Scalar:
+    """Return cos(atan x) = 1/√(1 + x²)."""
+    return 1.0 / ops.sqrt(1.0 + x * x)
+
+
 def magic_angle(B: Scalar, C: Scalar, E: Scalar, slip: Scalar, ops: Ops) -> Scalar:
     """Return C·atan(B·x − E·(B·x − atan(B·x))), whose sine or cosine is the Magic Formula."""
     stretched = B * slip
@@ -108,14 +113,14 @@ class MagicFormula:
 
     def longitudinal_weight(self, kappa: Scalar, alpha: Scalar, df_z: Scalar, ops: Ops) -> Scalar:
         """Return G_xα, the loss of F_x by lateral slip (4.E50–4.E57); 1 at α = 0."""
-        B = self.r_Bx1 * ops.cos(ops.atan(self.r_Bx2 * kappa))
+        B = self.r_Bx1 * cos_atan(self.r_Bx2 * kappa, ops)
         E = ops.minimum(self.r_Ex1 + self.r_Ex2 * df_z, 1.0)
         at_slip = ops.cos(magic_angle(B, self.r_Cx1, E, alpha + self.r_Hx1, ops))
         return at_slip / ops.cos(magic_angle(B, self.r_Cx1, E, self.r_Hx1, ops))
 
     def lateral_weight(self, kappa: Scalar, alpha: Scalar, df_z: Scalar, ops: Ops) -> Scalar:
         """Return G_yκ, the loss of F_y by longitudinal slip (4.E58–4.E65); 1 at κ = 0."""
-        B = self.r_By1 * ops.cos(ops.atan(self.r_By2 * (alpha - self.r_By3)))
+        B = self.r_By1 * cos_atan(self.r_By2 * (alpha - self.r_By3), ops)
         E = ops.minimum(self.r_Ey1 + self.r_Ey2 * df_z, 1.0)
         shift = self.r_Hy1 + self.r_Hy2 * df_z
         at_slip = ops.cos(magic_angle(B, self.r_Cy1, E, kappa + shift, ops))
@@ -123,5 +128,5 @@ class MagicFormula:
 
     def ply_steer(self, kappa: Scalar, alpha: Scalar, D_y: Scalar, df_z: Scalar, ops: Ops) -> Scalar:
         """Return S_Vyκ, the side force that longitudinal slip induces (4.E66–4.E67), in N."""
-        D = D_y * (self.r_Vy1 + self.r_Vy2 * df_z) * ops.cos(ops.atan(self.r_Vy4 * alpha))
+        D = D_y * (self.r_Vy1 + self.r_Vy2 * df_z) * cos_atan(self.r_Vy4 * alpha, ops)
         return D * ops.sin(self.r_Vy5 * ops.atan(self.r_Vy6 * kappa))

@@ -144,3 +144,26 @@ def test_single_precision_is_precise_enough():
     x, y, _ = FRAME.position(s, n)
     foot = single.project(x.float(), y.float(), s.float())
     assert (foot.n - n).abs().max() < 1e-4 and FRAME.difference(foot.s.double(), s).abs().max() < 1e-3
+
+
+def test_the_compiled_walk_follows_the_tensors():
+    """In single precision on the CPU the walk and the look-ups are C; a car at a boundary and in the hairpin too."""
+    single, exact = FrenetFrame(TRACK), FrenetFrame(TRACK, dtype=torch.float64)
+    assert single._kernel is not None and exact._kernel is None
+    generator = torch.Generator().manual_seed(0)
+    s, moved = torch.rand(2, 20_000, generator=generator, dtype=torch.float64)
+    s, moved = s * TRACK.length, 0.6 * (moved - 0.5)
+    n = 1.2 * (torch.rand(20_000, generator=generator, dtype=torch.float64) - 0.5)
+    x, y, _ = exact.position(s, n)
+    last = exact.wrap(s + moved)
+    got, expected = single.project(x.float(), y.float(), last.float()), exact.project(x, y, last)
+    apart = exact.difference(got.s.double(), expected.s).abs()
+    # where two cells are equally near, single precision may take the other one: a cell apart, the same point in space
+    assert (apart < 2e-4).double().mean() > 0.99 and apart.max() < 0.2
+    assert (got.n - expected.n).abs().quantile(0.99) < 1e-5 and (got.n - expected.n).abs().max() < 0.02
+    for table in ("curvature", "width_left", "half_width"):
+        for shift in (0.0, -3 * TRACK.length, 5 * TRACK.length):
+            single_table, exact_table = getattr(single, table), getattr(exact, table)
+            apart = single.lookup(single_table, (s + shift).float()) - exact.lookup(exact_table, s + shift)
+            assert apart.abs().max() < 2e-3 * (1 + exact_table.abs().max())
+    assert torch.isfinite(single.lookup(single.curvature, torch.tensor([0.0, TRACK.length, -1e-9]))).all()

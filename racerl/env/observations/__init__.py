@@ -51,10 +51,10 @@ def check_maxima(**maxima: float) -> None:
 
 def actuator_terms(race: "Race") -> list[Tensor]:
     """Return δ, δ_ref, the rate of the drive command, the drive command and ω, each (N,)."""
-    return [
-        race.delta / race.action.steering_max,
-        race.command[0] / race.action.steering_max,
-        race.command_rate / race.action.rate_max,
-        race.command[1] / race.action.drive_max,
-        race.omega / SPEED_MAX,
-    ]
+    return [race.delta, race.command[0], race.command_rate, race.command[1], race.omega]
+
+
+def actuator_maxima(race: "Race") -> list[float]:
+    """Return what `actuator_terms` are divided by."""
+    action = race.action
+    return [action.steering_max, action.steering_max, action.rate_max, action.drive_max, SPEED_MAX]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from racerl.env.observations import HEADING_MAX, SPEED_MAX, YAW_RATE_MAX, actuator_terms, check_maxima
+from racerl.env.observations import HEADING_MAX, SPEED_MAX, YAW_RATE_MAX, actuator_maxima, actuator_terms, check_maxima
 from racerl.track.track import Track
 
 if TYPE_CHECKING:
@@ -47,15 +47,9 @@ class Geometric:
     def __call__(self, race: "Race") -> Tensor:
         """Return (N, 10 + 2·points)."""
         frame = race.frame
-        ahead = race.s[:, None] + self.spacing * torch.arange(1, self.points + 1, device=race.s.device)
-        car = [
-            race.v_x / SPEED_MAX,
-            race.v_y / SPEED_MAX,
-            race.heading / HEADING_MAX,
-            race.offset / self.width_max,
-            race.yaw_rate / YAW_RATE_MAX,
-            *actuator_terms(race),
-        ]
+        ahead = race.s[:, None] + race.constant([self.spacing * (i + 1) for i in range(self.points)])
+        car = [race.v_x, race.v_y, race.heading, race.offset, race.yaw_rate, *actuator_terms(race)]
+        maxima = [SPEED_MAX, SPEED_MAX, HEADING_MAX, self.width_max, YAW_RATE_MAX, *actuator_maxima(race)]
         curvature = frame.lookup(frame.curvature, ahead) / self.curvature_max
-        width = frame.half_width(ahead) / self.width_max
-        return torch.cat([torch.stack(car, dim=1), curvature, width], dim=1)
+        width = frame.lookup(frame.half_width, ahead) / self.width_max
+        return torch.cat([torch.stack(car, dim=1) / race.constant(maxima), curvature, width], dim=1)

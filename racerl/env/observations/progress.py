@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from racerl.env.observations import HEADING_MAX, SPEED_MAX, YAW_RATE_MAX, actuator_terms, check_maxima
+from racerl.env.observations import HEADING_MAX, SPEED_MAX, YAW_RATE_MAX, actuator_maxima, actuator_terms, check_maxima
 from racerl.track.track import Track
 
 if TYPE_CHECKING:
@@ -37,13 +37,6 @@ class Progress:
 
     def __call__(self, race: "Race") -> Tensor:
         """Return (N, 11)."""
-        terms = [
-            race.offset / self.width_max,
-            race.heading / HEADING_MAX,
-            race.v_x / SPEED_MAX,
-            race.v_y / SPEED_MAX,
-            race.yaw_rate / YAW_RATE_MAX,
-            *actuator_terms(race),
-            race.s / self.length,
-        ]
-        return torch.stack(terms, dim=1)
+        terms = [race.offset, race.heading, race.v_x, race.v_y, race.yaw_rate, *actuator_terms(race), race.s]
+        maxima = [self.width_max, HEADING_MAX, SPEED_MAX, SPEED_MAX, YAW_RATE_MAX, *actuator_maxima(race), self.length]
+        return torch.stack(terms, dim=1) / race.constant(maxima)

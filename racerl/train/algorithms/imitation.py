@@ -55,7 +55,7 @@ class Imitation:
         network = build_network([race.observation.size, *self.layers, 2]).to(session.device)
         optimizer = torch.optim.Adam(network.parameters(), self.learning_rate)
         dice = torch.Generator().manual_seed(session.seed)
-        teacher.start(race, torch.rand(self.cars, generator=dice) < self.fast_starts, dice)
+        self._start_fast(race, teacher, race.age == 0, dice)
         seen: list[Tensor] = []
         asked: list[Tensor] = []
         for number in range(self.rounds):
@@ -97,10 +97,15 @@ class Imitation:
             rewards.append(step.reward.mean())
             over = step.terminated | step.truncated
             if bool(over.any()):
-                fast = over & (torch.rand(race.count, generator=dice) < self.fast_starts)
-                teacher.start(race, fast, dice)
+                self._start_fast(race, teacher, over, dice)
                 observation = race.observe()
         return float(torch.stack(rewards).mean())
+
+    def _start_fast(self, race: Race, teacher: Teacher, begun: Tensor, dice: torch.Generator) -> None:
+        """Put a share of the cars that begin an episode near the fastest lap."""
+        fast = begun & (torch.rand(race.count, generator=dice) < self.fast_starts)
+        if bool(fast.any()):
+            teacher.start(race, fast.nonzero()[:, 0], dice)
 
     def _fit(
         self,
