@@ -105,13 +105,13 @@ class Session:
         """Training time in s, earlier sessions included, evaluations too."""
         return self.earlier_seconds + time.perf_counter() - self._began
 
-    def examine(self, policy: Policy, steps: int) -> None:
-        """Evaluate a policy and keep it when it is the best so far."""
+    def examine(self, policy: Policy, steps: int, *, improving: bool = False) -> None:
+        """Evaluate a policy and keep it when it is the best so far, or anyhow where later ones are `improving`."""
         self.last = {**self.examiner.examine(policy), "steps": steps}
         for key, value in self.last.items():
             if isinstance(value, (int, float)):
                 self.logger.record(f"evaluation/{key}", value)
-        if self.best is None or rank(self.last) <= rank(self.best):
+        if improving or self.best is None or rank(self.last) <= rank(self.best):
             self.best = self.last
             save_policy(policy, self.folder.path, evaluation=self.best)
 

@@ -64,7 +64,8 @@ class Imitation:
             loss = self._fit(network, optimizer, torch.cat(seen), torch.cat(asked), last, dice)
             steps = (number + 1) * self.cars * self.steps
             if last or number % EXAMINED_EVERY == EXAMINED_EVERY - 1:
-                session.examine(policy_of(network, race, session.settings), steps)
+                # one flying lap from a standing start says little of the pace: the policy that has seen most is kept
+                session.examine(policy_of(network, race, session.settings), steps, improving=True)
             session.logger.record("train/loss", loss)
             session.logger.record("train/reward", reward)
             session.logger.dump(steps)
