@@ -95,11 +95,12 @@ def build_race(
 ) -> Race:
     """Build the race that the settings describe, for `cars` cars, with one seed for all or one for each."""
     check_settings(settings)
+    action = build_action(settings)
     return Race(
         vehicle=build_vehicle(settings),
         track=build_track(settings),
         observation=create_observation(settings["obs"]),
-        action=build_action(settings),
+        action=action,
         count=cars,
         seeds=seeds,
         randomization=construct(Randomization, settings["dr"], "dr"),

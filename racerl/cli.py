@@ -309,16 +309,31 @@ def _print_metrics(console: Any, metrics: dict[str, Any]) -> None:
     def text(key: str, digits: int) -> str:
         return "none" if metrics[key] is None else f"{metrics[key]:.{digits}f}"
 
-    table = Table("fastest valid [s]", "mean [s]", "std [s]", "E_off [m s]", "crashes", "laps", title=metrics["label"])
+    over = metrics["mean_over_optimum"]
+    table = Table(
+        "fastest valid [s]",
+        "mean [s]",
+        "over optimum",
+        "std [s]",
+        "E_off [m s]",
+        "crashes",
+        "laps",
+        title=metrics["label"],
+    )
     table.add_row(
         text("fastest_valid_lap_s", 3),
         text("mean_lap_s", 3),
+        "unknown" if over is None else f"{over:+.1%}",
         text("std_lap_s", 3),
         text("e_off", 5),
         f"{metrics['crash_share']:.0%}",
         str(metrics["laps"]),
     )
     console.print(table)
+    if metrics["optimum_s"] is None:
+        console.print(
+            "for the time-optimal lap beside it: racerl optimum, with the same vehicle, track, sim and action"
+        )
     if metrics["nan_cars"]:
         console.print(f"warning: the simulation failed (NaN) for {metrics['nan_cars']} cars; counted as crashes")
 

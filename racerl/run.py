@@ -21,6 +21,7 @@ from racerl.errors import DocumentError, RunError
 
 FORMAT = 1
 MANIFEST, CONFIG = "manifest.json", "config.yaml"
+MAX_DEPTH = 3  # folders below outputs/<stage>
 LIBRARIES = ("torch", "stable-baselines3", "numpy", "casadi")
 
 
@@ -150,3 +151,15 @@ class RunFolder:
         finished = datetime.now(UTC).isoformat(timespec="seconds")
         self.manifest = {**self.manifest, "status": "complete", "finished": finished, **facts}
         write_json(self.path / MANIFEST, self.manifest)
+
+
+def find_runs(outputs: Path) -> list[RunFolder]:
+    """Return the complete runs up to `MAX_DEPTH` folders below one, oldest first; what is no run is passed over."""
+    found = []
+    for depth in range(1, MAX_DEPTH + 1):
+        for manifest in outputs.glob("/".join(["*"] * depth) + f"/{MANIFEST}"):
+            try:
+                found.append(RunFolder.open_complete(manifest.parent))
+            except RunError:
+                continue
+    return sorted(found, key=lambda run: (str(run.manifest.get("started")), str(run.path)))

@@ -22,8 +22,9 @@ from racerl.env.termination import Crash
 from racerl.errors import ConfigError, PolicyError
 from racerl.evaluate.drive import Recorder, drive
 from racerl.evaluate.laps import rows, score
+from racerl.optimum.floor import find_floor, gap, problem_hash
 from racerl.registry import construct
-from racerl.run import RunFolder
+from racerl.run import RunFolder, find_runs
 from racerl.track.track import Track
 
 METRICS, TRAJECTORIES, TRACK = "metrics.json", "trajectories.parquet", "track.csv"
@@ -56,9 +57,14 @@ def evaluate(
 
     folder = RunFolder.start(out, "evaluate", settings, seed=seeds, threads=settings["threads"], device=str(device))
     recorder = Recorder(race, seeds)
+    problem = problem_hash(race.vehicle, race.track, race.action)
     driven = drive(race, policy, laps, recorder, lambda fewest: on_lap(fewest, laps))
+    scored = score(driven)
+    floor = find_floor(problem, find_runs(Path("outputs")))
     metrics = {
-        **score(driven),
+        **scored,
+        "optimum_s": floor,
+        "mean_over_optimum": gap(scored["mean_lap_s"], floor),
         "laps_per_seed": laps,
         "track": race.track.name,
         "car": settings["car"]["name"],
@@ -75,7 +81,7 @@ def evaluate(
     write_bytes(folder.path / TRAJECTORIES, _parquet(recorder.log()))
     write_text(folder.path / TRACK, track_table(race.track))
     write_json(folder.path / METRICS, metrics)
-    folder.finish(train_run_id=trained.manifest["run_id"], nan_cars=race.faults)
+    folder.finish(train_run_id=trained.manifest["run_id"], nan_cars=race.faults, problem=problem)
     return metrics
 
 

@@ -23,6 +23,7 @@ from racerl.env.actions import Action
 from racerl.errors import OptimumError
 from racerl.optimum.collocation import Collocation, Solution
 from racerl.optimum.corridor import Corridor
+from racerl.optimum.floor import problem_hash
 from racerl.optimum.held import Held, hold
 from racerl.run import RunFolder
 from racerl.track.frenet import FrenetFrame
@@ -141,7 +142,8 @@ def optimum(
     write_bytes(folder.path / TRAJECTORY, stream.getvalue())
     write_text(folder.path / RACELINE, tum_raceline(table))
     write_json(folder.path / RESULT, facts)
-    folder.finish(seconds=facts["seconds"])
+    problem = problem_hash(vehicle, track, action)
+    folder.finish(seconds=facts["seconds"], problem=problem, time_s=best.time)
     return facts
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import jinja2
 
 from racerl.documents import write_text
+from racerl.optimum.floor import gap
 from racerl.report import paper_values
 from racerl.report.figures import channels, lap_times, learning_curve, racing_line
 from racerl.report.subjects import Subject, find_subjects
@@ -62,9 +63,13 @@ def _number(value: float | None, digits: int) -> str:
     return "–" if value is None else f"{value:.{digits}f}"
 
 
+def _percent(share: float | None) -> str:
+    return "–" if share is None else f"{share:+.1%}"
+
+
 def _row(subject: Subject) -> dict[str, Any]:
     if subject.evaluation is None:
-        blank = dict.fromkeys(("car", "fastest", "mean", "interval", "std", "e_off", "crashes", "valid"), "–")
+        blank = dict.fromkeys(("car", "fastest", "mean", "gap", "interval", "std", "e_off", "crashes", "valid"), "–")
         return {"driver": subject.title, **blank}
     m = subject.evaluation.metrics
     interval = m.get("mean_lap_ci95")
@@ -73,6 +78,7 @@ def _row(subject: Subject) -> dict[str, Any]:
         "car": m["car"],
         "fastest": _number(m["fastest_valid_lap_s"], 3),
         "mean": _number(m["mean_lap_s"], 3),
+        "gap": _percent(gap(m["mean_lap_s"], subject.evaluation.floor_s)),
         "interval": " … ".join(f"{bound:.3f}" for bound in interval) if interval else "–",
         "std": _number(m["std_lap_s"], 3),
         "e_off": _number(m["e_off"], 5),
@@ -89,6 +95,7 @@ def _paper_rows() -> list[dict[str, Any]]:
             "car": "real",
             "fastest": _number(row["fastest_valid_lap_s"], 3),
             "mean": _number(row["mean_lap_s"], 3),
+            "gap": "–",
             "interval": "–",
             "std": _number(row["std_lap_s"], 2),
             "e_off": _number(row["e_off"], 5),
@@ -102,6 +109,11 @@ def _paper_rows() -> list[dict[str, Any]]:
 def _remarks(subjects: Sequence[Subject]) -> list[str]:
     remarks = [
         f"{subject.name} has not been raced: racerl evaluate RUN" for subject in subjects if subject.evaluation is None
+    ]
+    remarks += [
+        f"{subject.name}: no time-optimal lap of its car and track is at hand: racerl optimum finds it"
+        for subject in subjects
+        if subject.evaluation is not None and subject.evaluation.floor_s is None
     ]
     for subject in subjects:
         for stage, facts in (

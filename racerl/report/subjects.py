@@ -14,7 +14,8 @@ import pyarrow.parquet as pq
 
 from racerl.documents import MAX_TEXT_BYTES, read_json, read_text
 from racerl.errors import DocumentError, RunError
-from racerl.run import MANIFEST, RunFolder
+from racerl.optimum.floor import find_floor
+from racerl.run import RunFolder, find_runs
 
 PROGRESS, METRICS, TRAJECTORIES, TRACK = "progress.jsonl", "metrics.json", "trajectories.parquet", "track.csv"
 DRIVE_COLUMNS = ("run", "seed", "lap", "t", "s", "n", "x", "y", "v_x", "delta")
@@ -41,7 +42,6 @@ ROW_FIELDS: dict[str, tuple[type, ...]] = {
     "time_s": NUMBER_OR_NONE,
 }
 MAX_ROWS = 20_000_000
-MAX_DEPTH = 3  # folders below outputs/<stage>
 
 
 @dataclass(frozen=True)
@@ -53,6 +53,7 @@ class Evaluation:
     metrics: dict[str, Any]
     drive: pd.DataFrame
     track: pd.DataFrame
+    floor_s: float | None = None  # the time-optimal lap of the same car, track and limits, where it was found
 
     def fastest_lap(self, beyond: int = 0) -> pd.DataFrame:
         """Return the rows of the fastest lap, a valid one if there is any; empty when no lap was finished.
@@ -87,7 +88,7 @@ def find_subjects(paths: list[Path], outputs: Path) -> list[Subject]:
     A training run comes with its newest evaluation under `outputs`, unless evaluations of it are given.
     """
     given = [RunFolder.open_complete(path) for path in paths]
-    around = _complete_runs(outputs)
+    around = find_runs(outputs)
     trained = {run.manifest["run_id"]: run for run in (*around, *given) if run.manifest["stage"] == "train"}
     by_finish = sorted(around, key=lambda run: str(run.manifest.get("finished")))
     newest = {_origin(run): run for run in by_finish if run.manifest["stage"] == "evaluate"}
@@ -102,7 +103,7 @@ def find_subjects(paths: list[Path], outputs: Path) -> list[Subject]:
     if not pairs:
         raise RunError(f"{outputs}: holds no finished run; train one with: racerl train +dr=friction_0.02")
     pairs.sort(key=lambda pair: str(next(run for run in pair if run).manifest.get("started")))
-    return _with_own_titles([_subject(*pair) for pair in pairs])
+    return _with_own_titles([_subject(*pair, around) for pair in pairs])
 
 
 def _origin(evaluation: RunFolder) -> str:
@@ -116,20 +117,10 @@ def _with_own_titles(subjects: list[Subject]) -> list[Subject]:
     return [replace(s, title=f"{s.name}: {s.title}") if count[s.title] > 1 else s for s in subjects]
 
 
-def _complete_runs(outputs: Path) -> list[RunFolder]:
-    """Return the complete train and evaluate runs below a folder, oldest first; what is no run is passed over."""
-    found = []
-    for depth in range(1, MAX_DEPTH + 1):
-        for manifest in outputs.glob("/".join(["*"] * depth) + f"/{MANIFEST}"):
-            try:
-                found.append(RunFolder.open_complete(manifest.parent))
-            except RunError:
-                continue
-    return sorted(found, key=lambda run: (str(run.manifest.get("started")), str(run.path)))
-
-
-def _subject(training: RunFolder | None, evaluated: RunFolder | None) -> Subject:
+def _subject(training: RunFolder | None, evaluated: RunFolder | None, around: Sequence[RunFolder]) -> Subject:
     evaluation = _read_evaluation(evaluated) if evaluated else None
+    if evaluation:
+        evaluation = replace(evaluation, floor_s=find_floor(evaluation.manifest.get("problem"), around))
     progress = _read_progress(training.path / PROGRESS) if training else None
     name = next(run for run in (training, evaluated) if run).path.name
     title = str(evaluation.metrics["label"]) if evaluation else name

@@ -25,7 +25,7 @@ def load_vehicle(settings: Mapping[str, Any], drive: str = "wheel_speed", actuat
     `drive` is wheel_speed or motor_current; without `actuators` commands act at once. Raises VehicleError.
     """
     settings = _with_file(settings)
-    if drive not in DRIVES:
+    if not isinstance(drive, str) or drive not in DRIVES:
         raise VehicleError(f"unknown drive mode '{drive}'{suggest(drive, DRIVES)}")
     parts: dict[str, Any] = {}
     for name, cls in COMPONENTS.items():

@@ -1,0 +1,94 @@
+"""The teacher drives near the limit, and a policy that imitates it soon laps cleanly; one that can't learn does not."""
+
+import json
+
+import pytest
+import torch
+
+from racerl.assemble import build_race
+from racerl.config import compose_settings
+from racerl.control.policy import load_policy
+from racerl.env.termination import Crash
+from racerl.errors import ConfigError
+from racerl.evaluate.drive import drive
+from racerl.evaluate.laps import score
+from racerl.train.algorithms import create_algorithm
+from racerl.train.teacher import Teacher
+from racerl.train.train import train
+
+FLOOR = 5.164  # s, the time-optimal lap of the default car on the default track
+
+
+@pytest.fixture(scope="module")
+def settings():
+    return compose_settings("train", ["algo=imitation", "threads=2"])
+
+
+@pytest.fixture(scope="module")
+def teacher(settings):
+    return Teacher(build_race(settings, cars=128, seeds=[0]))
+
+
+def test_laps_of_rising_pace(teacher):
+    times = [lap.time for lap in teacher.laps]
+    assert times == sorted(times, reverse=True) and 1.01 * FLOOR < times[-1] < 1.05 * FLOOR < 1.5 * FLOOR < times[0]
+
+
+def test_the_teacher_climbs_to_the_fastest_lap(settings, teacher):
+    race = build_race(settings, cars=128, seeds=[3])
+    lost, far = torch.zeros(128, dtype=torch.bool), torch.zeros(128)
+    for k in range(300):
+        step = race.step(teacher(race))
+        lost |= step.terminated
+        far += step.progress * (k >= 200)
+    assert lost.float().mean() < 0.1
+    laps = race.track.length / (far[~lost] / (100 * race.timing.dt))
+    assert laps.median() < 1.05 * FLOOR
+
+
+def test_starts_near_the_fastest_lap_are_on_the_track(settings, teacher):
+    race = build_race(settings, cars=64, seeds=[0])
+    before = race.state.clone()
+    cars = torch.arange(0, 64, 2)
+    teacher.start(race, cars, torch.Generator().manual_seed(0))
+    assert torch.equal(race.state[:, 1::2], before[:, 1::2])
+    assert (race.margin[cars] > -0.2).all() and race.margin[cars].median() > 0
+    assert race.v_x[cars].mean() > 1.5 and (race.age[cars] == 0).all()
+    again = race.frame.project(race.state[0], race.state[1], race.s)
+    assert torch.allclose(again.n, race.n, atol=1e-4)
+
+
+def laps_of(settings, path) -> dict:
+    race = build_race(settings, cars=8, seeds=list(range(8)), termination=Crash())
+    return score(drive(race, load_policy(path), 3))
+
+
+def test_a_policy_learns_from_it(settings, tmp_path):
+    quick = {**settings, "algo": {**settings["algo"], "rounds": 12, "last_updates": 300}}
+    facts = train(quick, tmp_path / "run")
+    assert facts["steps"] == 12 * 256 * 40
+    learned = laps_of(settings, tmp_path / "run")
+    assert learned["crash_share"] < 0.15 and learned["mean_lap_s"] < 1.3 * FLOOR
+    losses = [json.loads(line)["train/loss"] for line in (tmp_path / "run" / "progress.jsonl").read_text().splitlines()]
+    assert losses[-1] < losses[1]
+
+
+def test_a_policy_that_hardly_moves_does_not(settings, tmp_path):
+    frozen = {**settings, "algo": {**settings["algo"], "rounds": 2, "learning_rate": 1e-9}}
+    train(frozen, tmp_path / "run")
+    assert laps_of(settings, tmp_path / "run")["valid_laps"] == 0
+
+
+@pytest.mark.parametrize("change", [{"rounds": 0}, {"cars": 1.5}, {"learning_rate": 0.0}, {"fast_starts": 2.0}])
+def test_impossible_settings_are_told(settings, change):
+    with pytest.raises(ConfigError, match="allowed"):
+        create_algorithm({**settings["algo"], **change})
+
+
+@pytest.mark.slow
+def test_within_four_percent_of_the_optimum(settings, tmp_path):
+    facts = train(compose_settings("train", ["algo=imitation", "+dr=friction_0.02"]), tmp_path / "run")
+    race = build_race(settings, cars=3, seeds=[0, 1, 2], termination=Crash())
+    driven = score(drive(race, load_policy(tmp_path / "run"), 20))
+    print(facts["seconds"], driven)
+    assert driven["crash_share"] == 0 and driven["mean_lap_s"] < 1.04 * FLOOR
