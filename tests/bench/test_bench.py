@@ -5,7 +5,7 @@ import pytest
 from racerl.bench.bench import bench
 from racerl.config import compose_settings
 from racerl.documents import read_json
-from racerl.errors import RunError
+from racerl.errors import ConfigError, RunError
 
 
 def test_identify(tmp_path):
@@ -20,3 +20,18 @@ def test_identify(tmp_path):
     assert facts["threads"] == 1 and {"cpu", "git_sha", "libraries"} <= set(facts)
     with pytest.raises(RunError, match="already holds"):
         bench(settings, tmp_path / "out", compose_settings)
+
+
+def test_sim(tmp_path):
+    words = ["benchmark=sim", "benchmark.cars=[16,400]", "benchmark.seconds=0.05", "benchmark.repeats=1", "threads=1"]
+    facts = bench(compose_settings("bench", words), tmp_path / "out", compose_settings)
+    for name in ("env", "dynamics", "gradient", "torch_dynamics"):
+        assert set(facts[f"{name}_steps_per_s_per_thread"]) == {"16", "400"}
+    assert facts["dynamics_steps_per_s_per_thread"]["400"] > facts["env_steps_per_s_per_thread"]["400"]
+    assert facts["kernel"] == "torch" or min(facts["ratio_dynamics_to_torch"].values()) > 2
+    assert 0 < facts["kernel_build_seconds"] < 60
+
+
+def test_impossible_benchmarks_are_told(tmp_path):
+    with pytest.raises(ConfigError, match="cars"):
+        bench(compose_settings("bench", ["benchmark=sim", "benchmark.cars=[0]"]), tmp_path / "out", compose_settings)
