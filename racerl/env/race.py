@@ -6,7 +6,7 @@ All arrays are tensors of shape (N,) unless said otherwise.
 """
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -81,8 +81,41 @@ class Step(NamedTuple):
     faulty: Tensor  # the simulation failed (NaN) and the car was started over
 
 
+class Rows:
+    """The rows of the cars' states by name, each (N,)."""
+
+    v_x = property(lambda self: self.state[V_X])
+    v_y = property(lambda self: self.state[V_Y])
+    yaw_rate = property(lambda self: self.state[YAW_RATE])
+    delta = property(lambda self: self.state[DELTA])
+    omega = property(lambda self: self.state[OMEGA])
+
+
+@dataclass(frozen=True)
+class View(Rows):
+    """What observations see of some cars: states (S, N), commands (2, N), places (N,), and what they are divided by."""
+
+    state: Tensor
+    command: Tensor
+    command_rate: Tensor
+    s: Tensor
+    offset: Tensor
+    heading: Tensor
+    frame: FrenetFrame
+    action: Action
+    constant: Callable[[Sequence[float]], Tensor]
+
+    @classmethod
+    def of(cls, race: "Race", cars: Tensor | None) -> "View":
+        """Return the view of all cars, or of the cars of these numbers."""
+        tensors = (race.state, race.command, race.command_rate, race.s, race.offset, race.heading)
+        if cars is not None:
+            tensors = tuple(t.index_select(t.ndim - 1, cars) for t in tensors)  # type: ignore[assignment]
+        return cls(*tensors, race.frame, race.action, race.constant)
+
+
 @dataclass
-class Race:
+class Race(Rows):
     """N cars, their track, and what a policy sees and does."""
 
     vehicle: Vehicle
@@ -121,13 +154,6 @@ class Race:
         self.age = torch.zeros(self.count, device=self.device, dtype=torch.long)  # control steps
         self.reset()
 
-    # the rows of the state that observations name
-    v_x = property(lambda self: self.state[V_X])
-    v_y = property(lambda self: self.state[V_Y])
-    yaw_rate = property(lambda self: self.state[YAW_RATE])
-    delta = property(lambda self: self.state[DELTA])
-    omega = property(lambda self: self.state[OMEGA])
-
     def constant(self, numbers: Sequence[float]) -> Tensor:
         """Return numbers as a tensor beside the race's own, made once."""
         key = tuple(numbers)
@@ -135,9 +161,10 @@ class Race:
             self._constants[key] = torch.tensor(key, device=self.device, dtype=self.dtype)
         return self._constants[key]
 
-    def observe(self) -> Tensor:
-        """Return the observation (N, O), inside ± OBSERVATION_LIMIT."""
-        return self.observation(self).clamp(-OBSERVATION_LIMIT, OBSERVATION_LIMIT)
+    def observe(self, cars: Tensor | None = None) -> Tensor:
+        """Return the observation (N, O), inside ± OBSERVATION_LIMIT, or that of the cars of these numbers (K,)."""
+        view = View.of(self, cars)
+        return self.observation(view).clamp_(-OBSERVATION_LIMIT, OBSERVATION_LIMIT)
 
     def reset(self) -> Tensor:
         """Start all cars over; return the observation (N, O)."""
@@ -169,8 +196,8 @@ class Race:
         over = ended | truncated | faulty
         observation = final
         if bool(over.any()):
-            self._restart(over)
-            observation = self.observe()
+            cars = self._restart(over)
+            observation = final.index_copy(0, cars, self.observe(cars))
         return Step(observation, reward, ended | faulty, truncated, final, progress, command, margin, faulty)
 
     def _apply(self, action: Tensor) -> None:
@@ -207,8 +234,8 @@ class Race:
         self.offset = self.n - self.frame.lookup(self.frame.middle, self.s)
         self.margin = self.frame.lookup(self.frame.half_width, self.s) - self.offset.abs()
 
-    def _restart(self, mask: Tensor) -> None:
-        """Start the masked cars at a random place on the centreline, along it, with new parameters."""
+    def _restart(self, mask: Tensor) -> Tensor:
+        """Start the masked cars at a random place on the centreline with new parameters; return their numbers (K,)."""
         cars = mask.nonzero()[:, 0]
         self.draws.draw(cars, self.dice)
         place, pace = self.dice.uniform(2, cars)
@@ -219,6 +246,7 @@ class Race:
         rest = [still] * (len(self.vehicle.states) - len(STATE))
         state = torch.stack([x, y, yaw, speed, still, still, still, speed, *rest])
         self._begin(cars, state, torch.stack([still, self.action.initial(speed)]), Foot(s, still, yaw))
+        return cars
 
     def _begin(self, cars: Tensor, state: Tensor, command: Tensor, foot: Foot) -> None:
         """Begin the episodes of the cars of these numbers (K,) in states (S, K) with their feet on the centreline."""

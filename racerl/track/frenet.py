@@ -88,6 +88,8 @@ class FrenetFrame:
 
     def position(self, s: Tensor, n: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return x, y and the centreline's yaw at (s, n), exact to the arc within a cell."""
+        if self._kernel is not None:
+            return self._kernel.position(self._cells, s, n, self.spacing)
         index = (self.wrap(s) / self.spacing).round().long()
         ds = self.wrap(s) - index * self.spacing
         index = index % self.count

@@ -18,6 +18,7 @@ TEMPLATE = """
 #define RIDGE {ridge!r}f
 #define SMALLEST_STRETCH {smallest!r}f
 #define PI 3.14159265358979f
+#define LANES 16
 
 static inline float wrap_angle(float angle) {{
     return angle - 2 * PI * floorf((angle + PI) / (2 * PI));
@@ -71,16 +72,42 @@ void project(const float (*cells)[6], long count, float spacing, long reach, con
     }}
 }}
 
+/* x, y and the centreline's direction at (s, n), exact to the arc within a cell */
+static __attribute__((noinline)) void position_of(const float (*cells)[6], long count, float spacing, float s, float n,
+                                                  float *x, float *y, float *direction) {{
+    const float length = count * spacing;
+    s -= length * floorf(s / length);
+    long nearest = lroundf(s / spacing), at = nearest % count;
+    const float *cell = cells[at < 0 ? 0 : at];
+    float ds = s - nearest * spacing, bend = cell[5] * ds;
+    float chord = ds * (1 - bend * bend / 24), half = cell[2] + bend / 2, turn = cell[2] + bend;
+    *x = cell[0] + chord * cosf(half) - n * sinf(turn);
+    *y = cell[1] + chord * sinf(half) + n * cosf(turn);
+    *direction = wrap_angle(turn);
+}}
+
+void position(const float (*cells)[6], long count, float spacing, const float *s, const float *n, float *x, float *y,
+              float *direction, long cars) {{
+    for (long car = 0; car < cars; car++)
+        position_of(cells, count, spacing, s[car], n[car], &x[car], &y[car], &direction[car]);
+}}
+
+/* in whole groups, so that a number does not depend on how many are asked for */
 void lookup(const float *table, long count, float spacing, const float *s, float *out, long numbers) {{
     const float length = count * spacing;
-    #pragma omp simd
-    for (long i = 0; i < numbers; i++) {{
-        float position = (s[i] - length * floorf(s[i] / length)) / spacing;
-        float cell = floorf(position), share = position - cell;
-        int at = (int)cell;
-        at = at >= (int)count ? at - (int)count : at < 0 ? 0 : at;
-        int next = at + 1 >= (int)count ? 0 : at + 1;
-        out[i] = table[at] + share * (table[next] - table[at]);
+    for (long first = 0; first < numbers; first += LANES) {{
+        float given[LANES], found[LANES];
+        for (int l = 0; l < LANES; l++) given[l] = s[first + l < numbers ? first + l : numbers - 1];
+        #pragma omp simd
+        for (int l = 0; l < LANES; l++) {{
+            float position = (given[l] - length * floorf(given[l] / length)) / spacing;
+            float cell = floorf(position), share = position - cell;
+            int at = (int)cell;
+            at = at >= (int)count ? at - (int)count : at < 0 ? 0 : at;
+            int next = at + 1 >= (int)count ? 0 : at + 1;
+            found[l] = table[at] + share * (table[next] - table[at]);
+        }}
+        for (int l = 0; l < LANES && first + l < numbers; l++) out[first + l] = found[l];
     }}
 }}
 """
@@ -108,6 +135,14 @@ class TrackKernel:
         )
         return s, n, yaw
 
+    def position(self, cells: Tensor, s: Tensor, n: Tensor, spacing: float) -> tuple[Tensor, Tensor, Tensor]:
+        """Return x, y and the centreline's yaw at (s, n), each (N,)."""
+        s, n = s.to(cells.dtype).contiguous(), n.to(cells.dtype).contiguous()
+        x, y, yaw = torch.empty_like(s), torch.empty_like(s), torch.empty_like(s)
+        pointers = (t.data_ptr() for t in (s, n, x, y, yaw))
+        self.library.position(cells.data_ptr(), len(cells), spacing, *pointers, s.numel())
+        return x, y, yaw
+
     def lookup(self, table: Tensor, s: Tensor, spacing: float) -> Tensor:
         """Return the table (M,) interpolated linearly and periodically at s of any shape."""
         s = s.to(table.dtype).contiguous()
@@ -125,5 +160,6 @@ def load_kernel(ridge: float, smallest_stretch: float) -> TrackKernel | None:
     pointer, whole, number = ctypes.c_void_p, ctypes.c_long, ctypes.c_float
     library.project.argtypes = [pointer, whole, number, whole, *[pointer] * 6, whole]
     library.lookup.argtypes = [pointer, whole, number, pointer, pointer, whole]
-    library.project.restype = library.lookup.restype = None
+    library.position.argtypes = [pointer, whole, number, *[pointer] * 5, whole]
+    library.project.restype = library.position.restype = library.lookup.restype = None
     return TrackKernel(library)

@@ -102,7 +102,9 @@ def test_a_seed_gives_the_same_laps_alone(smoke_run, smoke_evaluation, tmp_path)
     evaluate(compose_settings("evaluate", [f"run='{smoke_run}'", "laps=2", "seeds=[1]"]), tmp_path / "alone")
     alone = json.loads((tmp_path / "alone" / "metrics.json").read_text())["rows"]
     both = json.loads((smoke_evaluation / "metrics.json").read_text())["rows"]
-    assert [row["e_off"] for row in alone] == pytest.approx([row["e_off"] for row in both if row["seed"] == 1])
+    assert [row["e_off"] for row in alone] == pytest.approx(
+        [row["e_off"] for row in both if row["seed"] == 1], rel=1e-4
+    )
 
 
 def test_the_driven_car_has_actuators_whatever_it_was_trained_with():

@@ -10,7 +10,7 @@ from racerl import registry
 from racerl.track.track import Track
 
 if TYPE_CHECKING:
-    from racerl.env.race import Race
+    from racerl.env.race import View
 
 SPEED_MAX = 6.0  # m/s
 YAW_RATE_MAX = 4.0  # rad/s
@@ -31,7 +31,7 @@ class Observation(Protocol):
         A policy keeps the maxima that it was trained with, so that it sees other tracks in the same scale.
         """
 
-    def __call__(self, race: "Race") -> Tensor:
+    def __call__(self, view: "View") -> Tensor:
         """Return the observation (N, size)."""
 
 
@@ -49,12 +49,12 @@ def check_maxima(**maxima: float) -> None:
             raise ValueError(f"{name} = {value!r}: allowed is more than 0, or 0 to take it from the track")
 
 
-def actuator_terms(race: "Race") -> list[Tensor]:
+def actuator_terms(view: "View") -> list[Tensor]:
     """Return δ, δ_ref, the rate of the drive command, the drive command and ω, each (N,)."""
-    return [race.delta, race.command[0], race.command_rate, race.command[1], race.omega]
+    return [view.delta, view.command[0], view.command_rate, view.command[1], view.omega]
 
 
-def actuator_maxima(race: "Race") -> list[float]:
+def actuator_maxima(view: "View") -> list[float]:
     """Return what `actuator_terms` are divided by."""
-    action = race.action
+    action = view.action
     return [action.steering_max, action.steering_max, action.rate_max, action.drive_max, SPEED_MAX]

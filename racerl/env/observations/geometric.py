@@ -14,7 +14,7 @@ from racerl.env.observations import HEADING_MAX, SPEED_MAX, YAW_RATE_MAX, actuat
 from racerl.track.track import Track
 
 if TYPE_CHECKING:
-    from racerl.env.race import Race
+    from racerl.env.race import View
 
 
 @dataclass(frozen=True)
@@ -44,12 +44,12 @@ class Geometric:
             width_max=self.width_max or track.max_half_width,
         )
 
-    def __call__(self, race: "Race") -> Tensor:
+    def __call__(self, view: "View") -> Tensor:
         """Return (N, 10 + 2·points)."""
-        frame = race.frame
-        ahead = race.s[:, None] + race.constant([self.spacing * (i + 1) for i in range(self.points)])
-        car = [race.v_x, race.v_y, race.heading, race.offset, race.yaw_rate, *actuator_terms(race)]
-        maxima = [SPEED_MAX, SPEED_MAX, HEADING_MAX, self.width_max, YAW_RATE_MAX, *actuator_maxima(race)]
+        frame = view.frame
+        ahead = view.s[:, None] + view.constant([self.spacing * (i + 1) for i in range(self.points)])
+        car = [view.v_x, view.v_y, view.heading, view.offset, view.yaw_rate, *actuator_terms(view)]
+        maxima = [SPEED_MAX, SPEED_MAX, HEADING_MAX, self.width_max, YAW_RATE_MAX, *actuator_maxima(view)]
         curvature = frame.lookup(frame.curvature, ahead) / self.curvature_max
         width = frame.lookup(frame.half_width, ahead) / self.width_max
-        return torch.cat([torch.stack(car, dim=1) / race.constant(maxima), curvature, width], dim=1)
+        return torch.cat([torch.stack(car, dim=1) / view.constant(maxima), curvature, width], dim=1)

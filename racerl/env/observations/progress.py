@@ -13,7 +13,7 @@ from racerl.env.observations import HEADING_MAX, SPEED_MAX, YAW_RATE_MAX, actuat
 from racerl.track.track import Track
 
 if TYPE_CHECKING:
-    from racerl.env.race import Race
+    from racerl.env.race import View
 
 
 @dataclass(frozen=True)
@@ -35,8 +35,8 @@ class Progress:
         """Take missing maxima from the track."""
         return replace(self, length=self.length or track.length, width_max=self.width_max or track.max_half_width)
 
-    def __call__(self, race: "Race") -> Tensor:
+    def __call__(self, view: "View") -> Tensor:
         """Return (N, 11)."""
-        terms = [race.offset, race.heading, race.v_x, race.v_y, race.yaw_rate, *actuator_terms(race), race.s]
-        maxima = [self.width_max, HEADING_MAX, SPEED_MAX, SPEED_MAX, YAW_RATE_MAX, *actuator_maxima(race), self.length]
-        return torch.stack(terms, dim=1) / race.constant(maxima)
+        terms = [view.offset, view.heading, view.v_x, view.v_y, view.yaw_rate, *actuator_terms(view), view.s]
+        maxima = [self.width_max, HEADING_MAX, SPEED_MAX, SPEED_MAX, YAW_RATE_MAX, *actuator_maxima(view), self.length]
+        return torch.stack(terms, dim=1) / view.constant(maxima)
