@@ -9,10 +9,11 @@ from racerl.errors import ConfigError, RacerlError
 from racerl.identify import methods
 from racerl.record.drivers import create_driver
 from racerl.registry import construct
+from racerl.train.algorithms import create_algorithm
 from racerl.train.ppo import Budget
 from tests.conftest import CONF
 
-GROUPS = ("vehicle", "track", "sim", "obs", "action", "dr", "budget")
+GROUPS = ("vehicle", "track", "sim", "obs", "action", "dr", "algo", "budget")
 CHOICES = [
     f"{group}={path.stem}"
     for group in (*GROUPS, "vehicle/effect")
@@ -54,6 +55,7 @@ def test_every_choice_composes_and_drives(choice):
     word = f"+{choice}" if choice.startswith("vehicle/effect") else choice
     settings = compose_settings("train", [word, *COMPANIONS.get(choice, [])])
     construct(Budget, settings["budget"], "budget")
+    assert create_algorithm(settings["algo"])
     race = build_race(settings, cars=3, seeds=[0])
     import torch
 

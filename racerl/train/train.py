@@ -22,6 +22,8 @@ def train(
     if not isinstance(seed, int) or not 0 <= seed < 2**31:
         raise ConfigError(f"seed = {seed}: allowed is a whole number, 0 … 2³¹ − 1")
     check_settings(settings)
+    if not isinstance(settings.get("algo"), Mapping):
+        raise ConfigError(f"algo = {settings.get('algo')}: a mapping with a name is expected, as conf/algo/ppo.yaml")
     use_threads(settings["threads"])
     algorithm = create_algorithm(settings["algo"])
     session = Session(settings, out, choose_device(settings["device"]), on_progress)

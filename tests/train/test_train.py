@@ -17,6 +17,7 @@ from racerl.errors import ConfigError, RunError
 from racerl.run import RunFolder
 from racerl.train.algorithms import ppo as stage
 from racerl.train.checkpoint import FILE as CHECKPOINT
+from racerl.train.session import rank
 from racerl.train.train import train
 
 SMOKE = ["budget=smoke", "threads=1"]
@@ -82,9 +83,10 @@ def test_an_interrupted_run_resumes_bit_for_bit(smoke_run, tmp_path, monkeypatch
 
 def test_a_killed_process_resumes(tmp_path):
     code = (
-        "import sys; from pathlib import Path; from racerl.train import train as t; t.CHECKPOINT_PERIOD = 0.0;"
+        "import sys; from pathlib import Path; from racerl.train.algorithms import ppo; ppo.CHECKPOINT_PERIOD = 0.0;"
+        "from racerl.train.train import train as t;"
         "from racerl.config import compose_settings as c;"
-        "t.train(c('train', ['budget=smoke', 'threads=1', 'budget.steps=200000']), Path(sys.argv[1]))"
+        "t(c('train', ['budget=smoke', 'threads=1', 'budget.steps=200000']), Path(sys.argv[1]))"
     )
     out = tmp_path / "run"
     job = subprocess.Popen([sys.executable, "-c", code, str(out)])
@@ -139,6 +141,8 @@ def test_results_are_never_overwritten(smoke_run, tmp_path):
         ({"device": "tpu"}, "device"),
         ({"sim": {}}, "sim.dt"),
         ({"obs": None}, "obs"),
+        ({"algo": None}, "algo"),
+        ({"algo": {"name": "imitations"}}, "did you mean imitation"),
         ({"dr": {"sigma": 0.1, "parameters": [3]}}, "parameters"),
     ],
 )
@@ -150,10 +154,10 @@ def test_wrong_settings_write_nothing(change, said, tmp_path):
 
 def test_the_best_policy_is_kept():
     clean = {"crash_share": 0.0, "valid_laps": 10, "mean_lap_s": 6.0}
-    assert stage.rank(clean) < stage.rank({**clean, "mean_lap_s": 6.1})
-    assert stage.rank(clean) < stage.rank({**clean, "valid_laps": 9, "mean_lap_s": 5.0})
-    assert stage.rank(clean) < stage.rank({**clean, "crash_share": 0.1, "valid_laps": 10, "mean_lap_s": 5.0})
-    assert stage.rank(clean) < stage.rank({**clean, "mean_lap_s": None})
+    assert rank(clean) < rank({**clean, "mean_lap_s": 6.1})
+    assert rank(clean) < rank({**clean, "valid_laps": 9, "mean_lap_s": 5.0})
+    assert rank(clean) < rank({**clean, "crash_share": 0.1, "valid_laps": 10, "mean_lap_s": 5.0})
+    assert rank(clean) < rank({**clean, "mean_lap_s": None})
 
 
 @pytest.mark.gpu
