@@ -28,7 +28,7 @@ EXAMINED_EVERY = 5  # rounds
 class Imitation:
     """How much is driven and how long it is fitted."""
 
-    rounds: int = 36
+    rounds: int = 40
     cars: int = 256
     steps: int = 40  # control steps of each car per round
     batch: int = 2048
