@@ -5,6 +5,7 @@ per-car Python) and the update (no synchronisation per minibatch), with an optio
 KL divergence of the updates.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -58,6 +59,28 @@ class Budget:
                 raise ConfigError(f"budget.{name} = {getattr(self, name)}: allowed is 0 … 1")
 
 
+def hyperparameters(budget: Budget) -> dict[str, Any]:
+    """Return a budget as arguments of Stable-Baselines3's PPO; its batch size and `target_kl` are left out."""
+    first, last = budget.learning_rate, budget.final_learning_rate
+    return {
+        "policy": "MlpPolicy",
+        "learning_rate": lambda remaining: last + (first - last) * remaining,
+        "n_steps": budget.rollout,
+        "n_epochs": budget.epochs,
+        "gamma": budget.gamma,
+        "gae_lambda": budget.gae_lambda,
+        "clip_range": budget.clip,
+        "ent_coef": budget.entropy,
+        "vf_coef": budget.value,
+        "max_grad_norm": budget.gradient_norm,
+        "policy_kwargs": {
+            "net_arch": {"pi": list(budget.actor), "vf": list(budget.critic)},
+            "activation_fn": _LeakyReLU,
+            "log_std_init": math.log(budget.initial_std),
+        },
+    }
+
+
 class RacePPO(PPO):
     """PPO whose rollouts stay tensors from the simulator to the update."""
 
@@ -65,28 +88,13 @@ class RacePPO(PPO):
         self.race = race
         self.budget = budget
         self.shuffle = torch.Generator().manual_seed(seed)
-        first, last = budget.learning_rate, budget.final_learning_rate
         super().__init__(
-            "MlpPolicy",
-            RaceVecEnv(race),
-            learning_rate=lambda remaining: last + (first - last) * remaining,
-            n_steps=budget.rollout,
+            env=RaceVecEnv(race),
             batch_size=race.count * budget.rollout,  # of its own buffer, which stays unused
-            n_epochs=budget.epochs,
-            gamma=budget.gamma,
-            gae_lambda=budget.gae_lambda,
-            clip_range=budget.clip,
-            ent_coef=budget.entropy,
-            vf_coef=budget.value,
-            max_grad_norm=budget.gradient_norm,
             rollout_buffer_class=_NoBuffer,
-            policy_kwargs={
-                "net_arch": {"pi": list(budget.actor), "vf": list(budget.critic)},
-                "activation_fn": _LeakyReLU,
-                "log_std_init": float(torch.tensor(budget.initial_std).log()),
-            },
             seed=seed,
             device=race.device,
+            **hyperparameters(budget),
         )
         self.batch_size = budget.batch
         self.rollout = Rollout(budget.rollout, race.count, race.observation.size, 2, race.device)

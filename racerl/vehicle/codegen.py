@@ -37,18 +37,18 @@ FUNCTIONS = ("sin", "atan", "tanh", "exp", "sqrt", "fabs")
 # odd series in single precision, cheaper than the vector library's: sin x = r·S(r²) with r = x − 2πk in ± π, and
 # atan t = t·A(t²) for t ≤ 1, atan x = π/2 − atan(1/x) above
 SINGLE = """
-static inline float series_sin(float x) {{
+LOCAL inline float series_sin(float x) {{
     float r = x - rintf(x * {inverse_turn}f) * {turn}f, z = r * r;
     return r * ({sine});
 }}
 
-static inline float series_atan(float x) {{
+LOCAL inline float series_atan(float x) {{
     float a = fabsf(x), t = a > 1 ? 1 / a : a, z = t * t, y = t * ({arctangent});
     y = a > 1 ? {half_pi}f - y : y;
     return x < 0 ? -y : y;
 }}
 
-static inline float series_exp(float x) {{
+LOCAL inline float series_exp(float x) {{
     x = x > 80 ? 80 : x < -80 ? -80 : x;
     float k = rintf(x * {inverse_log_2}f), z = x - k * {log_2}f + {half_log_2}f;
     union {{ int bits; float number; }} power;
@@ -56,7 +56,7 @@ static inline float series_exp(float x) {{
     return power.number * ({exponential});
 }}
 
-static inline float series_tanh(float x) {{
+LOCAL inline float series_tanh(float x) {{
     return 1 - 2 / (series_exp(2 * x) + 1);
 }}
 """
@@ -72,7 +72,7 @@ def _horner(function: Callable[[Array], Array], end: float, degree: int) -> str:
 
 
 def precision(name: str) -> str:
-    """Return the C definitions of `real` and its functions for "float" or "double"."""
+    """Return the C definitions of `real` and its functions for "float" or "double"; `LOCAL` must be defined."""
     if name == "double":
         return "typedef double real;\n" + "".join(f"#define {f.upper()} {f}\n" for f in FUNCTIONS)
     series = SINGLE.format(

@@ -2,14 +2,14 @@
 compiler at first use.
 
 `Vehicle.derivative` and its vector-Jacobian product become loops over 16 cars (see `codegen`). Parameters that differ
-between cars are inputs, all others constants. Gradients run backwards through the Runge–Kutta steps: with λ = ∂L/∂x',
+between cars are inputs, all others constants. The same source is CUDA, with a car per thread. Gradients run backwards through the Runge–Kutta steps: with λ = ∂L/∂x',
 k̄_4 = hλ/6, k̄_3 = hλ/3 + h f_xᵀk̄_4, k̄_2 = hλ/3 + h/2 f_xᵀk̄_3, k̄_1 = hλ/6 + h/2 f_xᵀk̄_2, λ ← λ + Σ f_xᵀk̄_i. The
 library is checked against torch on random states before it is used. Without a compiler the step runs on torch.
 """
 
 import ctypes
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, cast
 
 import torch
@@ -24,14 +24,29 @@ from racerl.vehicle.vehicle import STATE, Vehicle
 log = logging.getLogger(__name__)
 
 LANES = 16
+TABLES = {"advance": 4, "pull": 7}  # kernels and how many tables they take
+CUDA_BLOCK = 128  # threads, a car each
 TOLERANCE = 1e-4  # of the check at start-up, relative to the size of each state
 
 TEMPLATE = """
+#ifdef __CUDACC__
+#define restrict __restrict__
+#define LANES 1
+#define LOCAL static __device__
+#define SHARED extern "C" __global__
+#define EACH_GROUP for (int first = blockIdx.x * blockDim.x + threadIdx.x; first < n; first += gridDim.x * blockDim.x)
+#else
 #include <math.h>
-{precision}
 #define LANES {lanes}
+#define LOCAL static
+#define SHARED
+#define EACH_GROUP for (int first = 0; first < n; first += LANES)
+#endif
+#define STEPS {steps}
+{precision}
+static const real H = {dt!r};
 
-static inline void derivative(const real (*restrict x)[LANES], const real (*restrict u)[LANES],
+LOCAL inline void derivative(const real (*restrict x)[LANES], const real (*restrict u)[LANES],
                               const real (*restrict p)[LANES], real (*restrict d)[LANES]) {{
     #pragma omp simd
     for (int l = 0; l < LANES; l++) {{
@@ -39,7 +54,7 @@ static inline void derivative(const real (*restrict x)[LANES], const real (*rest
     }}
 }}
 
-static inline void settle(const real (*restrict x)[LANES], const real (*restrict u)[LANES],
+LOCAL inline void settle(const real (*restrict x)[LANES], const real (*restrict u)[LANES],
                           const real (*restrict p)[LANES], real (*restrict d)[LANES]) {{
     #pragma omp simd
     for (int l = 0; l < LANES; l++) {{
@@ -48,7 +63,7 @@ static inline void settle(const real (*restrict x)[LANES], const real (*restrict
 }}
 
 /* (dx, du, dp) = kᵀ ∂f/∂(x, u, p) */
-static inline void pull_derivative(const real (*restrict x)[LANES], const real (*restrict u)[LANES],
+LOCAL inline void pull_derivative(const real (*restrict x)[LANES], const real (*restrict u)[LANES],
                                    const real (*restrict p)[LANES], const real (*restrict k)[LANES],
                                    real (*restrict dx)[LANES], real (*restrict du)[LANES],
                                    real (*restrict dp)[LANES]) {{
@@ -58,7 +73,7 @@ static inline void pull_derivative(const real (*restrict x)[LANES], const real (
     }}
 }}
 
-static inline void pull_settle(const real (*restrict x)[LANES], const real (*restrict u)[LANES],
+LOCAL inline void pull_settle(const real (*restrict x)[LANES], const real (*restrict u)[LANES],
                                const real (*restrict p)[LANES], const real (*restrict k)[LANES],
                                real (*restrict dx)[LANES], real (*restrict du)[LANES], real (*restrict dp)[LANES]) {{
     #pragma omp simd
@@ -67,83 +82,82 @@ static inline void pull_settle(const real (*restrict x)[LANES], const real (*res
     }}
 }}
 
-static void along(const real (*restrict x)[LANES], const real (*restrict k)[LANES], real h,
+LOCAL void along(const real (*restrict x)[LANES], const real (*restrict k)[LANES], real h,
                   real (*restrict y)[LANES]) {{
     for (int i = 0; i < {states}; i++)
         for (int l = 0; l < LANES; l++) y[i][l] = x[i][l] + h * k[i][l];
 }}
 
-static void add(real (*restrict to)[LANES], const real (*restrict what)[LANES], int rows) {{
+LOCAL void add(real (*restrict to)[LANES], const real (*restrict what)[LANES], int rows) {{
     for (int i = 0; i < rows; i++)
         for (int l = 0; l < LANES; l++) to[i][l] += what[i][l];
 }}
 
 /* the first rows of four tables for LANES cars from `first` on; the last car fills the lanes beyond it */
-static void load(const real *table, real (*restrict to)[LANES], int rows, long first, long n) {{
+LOCAL void load(const real *table, real (*restrict to)[LANES], int rows, int first, int n) {{
     for (int i = 0; i < rows; i++)
-        for (int l = 0; l < LANES; l++) to[i][l] = table[i * n + (first + l < n ? first + l : n - 1)];
+        for (int l = 0; l < LANES; l++) to[i][l] = table[(long)i * n + (first + l < n ? first + l : n - 1)];
 }}
 
-static void store(real *table, const real (*restrict from)[LANES], int rows, long first, long n) {{
+LOCAL void store(real *table, const real (*restrict from)[LANES], int rows, int first, int n) {{
     for (int i = 0; i < rows; i++)
-        for (int l = 0; l < LANES && first + l < n; l++) table[i * n + first + l] = from[i][l];
+        for (int l = 0; l < LANES && first + l < n; l++) table[(long)i * n + first + l] = from[i][l];
 }}
 
 typedef real States[{states}][LANES];
 
-static void stages(const States x, const real (*restrict u)[LANES], const real (*restrict p)[LANES], real h,
+LOCAL void stages(const States x, const real (*restrict u)[LANES], const real (*restrict p)[LANES],
                    States k1, States k2, States k3, States y2, States y3, States y4) {{
     derivative(x, u, p, k1);
-    along(x, k1, h / 2, y2);
+    along(x, k1, H / 2, y2);
     derivative(y2, u, p, k2);
-    along(x, k2, h / 2, y3);
+    along(x, k2, H / 2, y3);
     derivative(y3, u, p, k3);
-    along(x, k3, h, y4);
+    along(x, k3, H, y4);
 }}
 
-static void step(States x, const real (*restrict u)[LANES], const real (*restrict p)[LANES], real h) {{
+LOCAL void step(States x, const real (*restrict u)[LANES], const real (*restrict p)[LANES]) {{
     States k1, k2, k3, k4, y2, y3, y4;
-    stages(x, u, p, h, k1, k2, k3, y2, y3, y4);
+    stages(x, u, p, k1, k2, k3, y2, y3, y4);
     derivative(y4, u, p, k4);
     for (int i = 0; i < {states}; i++)
-        for (int l = 0; l < LANES; l++) x[i][l] += h / 6 * (k1[i][l] + 2 * (k2[i][l] + k3[i][l]) + k4[i][l]);
+        for (int l = 0; l < LANES; l++) x[i][l] += H / 6 * (k1[i][l] + 2 * (k2[i][l] + k3[i][l]) + k4[i][l]);
 }}
 
-void advance(const real *state, const real *command, const real *parameters, real *out, long n, long steps,
-             real h) {{
-    for (long first = 0; first < n; first += LANES) {{
+SHARED void advance(const real *state, const real *command, const real *parameters, real *out, int n) {{
+    EACH_GROUP {{
         States x, y;
         real u[2][LANES], p[{parameters} + 1][LANES];
         load(state, x, {states}, first, n);
         load(command, u, 2, first, n);
         load(parameters, p, {parameters}, first, n);
-        for (long k = 0; k < steps; k++) step(x, u, p, h);
+        for (int k = 0; k < STEPS; k++) step(x, u, p);
         settle(x, u, p, y);
         store(out, y, {states}, first, n);
     }}
 }}
 
 /* cotangents of the state after `steps` steps → of state, command and parameters before them */
-void pull(const real *state, const real *command, const real *parameters, const real *cotangent, real *to_state,
-          real *to_command, real *to_parameters, long n, long steps, real h) {{
-    for (long first = 0; first < n; first += LANES) {{
-        States trace[steps + 1], g, d, k1, k2, k3, y2, y3, y4;
+SHARED void pull(const real *state, const real *command, const real *parameters, const real *cotangent, real *to_state,
+          real *to_command, real *to_parameters, int n) {{
+    EACH_GROUP {{
+        States trace[STEPS + 1], g, d, k1, k2, k3, y2, y3, y4;
         real u[2][LANES], p[{parameters} + 1][LANES];
         real du[2][LANES], gu[2][LANES], dp[{parameters} + 1][LANES], gp[{parameters} + 1][LANES];
         load(state, trace[0], {states}, first, n);
         load(command, u, 2, first, n);
         load(parameters, p, {parameters}, first, n);
-        for (long k = 0; k < steps; k++) {{
+        for (int k = 0; k < STEPS; k++) {{
             along(trace[k], trace[k], 0, trace[k + 1]);
-            step(trace[k + 1], u, p, h);
+            step(trace[k + 1], u, p);
         }}
         load(cotangent, d, {states}, first, n);
-        pull_settle(trace[steps], u, p, d, g, gu, gp);
-        for (long k = steps - 1; k >= 0; k--) {{
+        pull_settle(trace[STEPS], u, p, d, g, gu, gp);
+        for (int k = STEPS - 1; k >= 0; k--) {{
             States bar, total;
-            stages(trace[k], u, p, h, k1, k2, k3, y2, y3, y4);
+            stages(trace[k], u, p, k1, k2, k3, y2, y3, y4);
             const real (*at[4])[LANES] = {{trace[k], y2, y3, y4}};
-            const real share[4] = {{h / 6, h / 3, h / 3, h / 6}}, carried[4] = {{h / 2, h / 2, h, 0}};
+            const real share[4] = {{H / 6, H / 3, H / 3, H / 6}}, carried[4] = {{H / 2, H / 2, H, 0}};
             along(g, g, 0, total);
             for (int stage = 3; stage >= 0; stage--) {{
                 for (int i = 0; i < {states}; i++)
@@ -178,34 +192,31 @@ class TorchMotion:
         return advance(vehicle, state, command, self.dt, self.steps, TORCH)
 
 
+Launch = Callable[[str, Sequence[Tensor], int], None]  # a kernel by name, its tables, the number of cars
+
+
 class CompiledMotion:
-    """The step as a compiled kernel: single precision on the CPU, differentiable."""
+    """The step as a compiled kernel in single precision, differentiable."""
 
     name = "compiled"
 
-    def __init__(self, library: ctypes.CDLL, dt: float, steps: int) -> None:
-        self._advance, self._pull = library.advance, library.pull
-        for function, tables in ((self._advance, 4), (self._pull, 7)):
-            function.argtypes = [ctypes.c_void_p] * tables + [ctypes.c_long, ctypes.c_long, ctypes.c_float]
-        self._advance.restype = self._pull.restype = None
-        self.dt, self.steps = dt, steps
+    def __init__(self, launch: Launch) -> None:
+        self._launch = launch
 
     def __call__(self, state: Tensor, command: Tensor, parameters: Tensor) -> Tensor:
-        """Return the state (S, N) after `steps` steps, with per-car parameters (P, N)."""
+        """Return the state (S, N) after the steps, with per-car parameters (P, N)."""
         return cast(Tensor, _Advance.apply(state, command, parameters, self))
 
     def advance(self, inputs: Sequence[Tensor]) -> Tensor:
         """Return the state after the steps for contiguous state, command and parameters."""
         out = torch.empty_like(inputs[0])
-        self._advance(*(t.data_ptr() for t in (*inputs, out)), out.shape[1], self.steps, self.dt)
+        self._launch("advance", (*inputs, out), out.shape[1])
         return out
 
     def pull(self, inputs: Sequence[Tensor], cotangent: Tensor) -> tuple[Tensor, ...]:
         """Return the cotangents of state, command and parameters for one of the state after the steps."""
-        cotangent = cotangent.contiguous()
         found = tuple(map(torch.empty_like, inputs))
-        pointers = [t.data_ptr() for t in (*inputs, cotangent, *found)]
-        self._pull(*pointers, cotangent.shape[1], self.steps, self.dt)
+        self._launch("pull", (*inputs, cotangent.contiguous(), *found), cotangent.shape[1])
         return found
 
 
@@ -232,20 +243,50 @@ def choose_motion(
 ) -> Motion:
     """Return the fastest motion that this machine can run, for a car whose named parameters differ between cars."""
     reference = TorchMotion(vehicle, names, dt, steps)
-    if device.type != "cpu" or dtype != torch.float32:
+    if dtype != torch.float32:
         return reference
-    library = build(source(vehicle, names))
-    if library is None:
+    code = source(vehicle, names, dt, steps)
+    launch = _for_cuda(code, device) if device.type == "cuda" else _for_cpu(code)
+    if launch is None:
         return reference
-    compiled = CompiledMotion(library, dt, steps)
-    if _deviation(compiled, reference, len(names)) > TOLERANCE:
+    compiled = CompiledMotion(launch)
+    if _deviation(compiled, reference, device) > TOLERANCE:
         log.warning("the compiled simulator disagrees with torch; simulating on torch, more slowly")
         return reference
     return compiled
 
 
-def source(vehicle: Vehicle, names: Sequence[str]) -> str:
-    """Return the C source of the step."""
+def _for_cpu(code: str) -> Launch | None:
+    library = build(code)
+    if library is None:
+        return None
+    for name, tables in TABLES.items():
+        getattr(library, name).argtypes = [ctypes.c_void_p] * tables + [ctypes.c_int]
+        getattr(library, name).restype = None
+
+    def launch(name: str, tables: Sequence[Tensor], count: int) -> None:
+        getattr(library, name)(*(table.data_ptr() for table in tables), count)
+
+    return launch
+
+
+def _for_cuda(code: str, device: torch.device) -> Launch | None:
+    try:
+        with torch.cuda.device(device):
+            kernels = {name: torch.cuda._compile_kernel(code, name) for name in TABLES}
+    except (RuntimeError, AttributeError, OSError) as error:
+        log.warning("the kernel could not be compiled for CUDA (%s); simulating on torch, far more slowly", error)
+        return None
+
+    def launch(name: str, tables: Sequence[Tensor], count: int) -> None:
+        grid = -(-count // CUDA_BLOCK), 1, 1
+        kernels[name](grid=grid, block=(CUDA_BLOCK, 1, 1), args=[*tables, count])
+
+    return launch
+
+
+def source(vehicle: Vehicle, names: Sequence[str], dt: float, steps: int) -> str:
+    """Return the source of `steps` Runge–Kutta steps of dt seconds, C and CUDA alike."""
     import casadi
 
     ops = CasadiOps()
@@ -267,11 +308,17 @@ def source(vehicle: Vehicle, names: Sequence[str]) -> str:
         function = casadi.Function(name, [*inputs, cotangent], pulled, {"cse": True})
         bodies[f"pull_{name}"] = statements(function, ("x", "u", "p", "k"), ("dx", "du", "dp"))
     return TEMPLATE.format(
-        precision=precision("float"), lanes=LANES, states=len(vehicle.states), parameters=len(names), **bodies
+        precision=precision("float"),
+        lanes=LANES,
+        dt=dt,
+        steps=steps,
+        states=len(vehicle.states),
+        parameters=len(names),
+        **bodies,
     )
 
 
-def _deviation(compiled: CompiledMotion, reference: TorchMotion, parameters: int) -> float:
+def _deviation(compiled: CompiledMotion, reference: TorchMotion, device: torch.device) -> float:
     """Return the largest difference of one step and its gradients on random states, relative to 1 + |value|."""
     generator = torch.Generator().manual_seed(0)
     state = torch.rand(len(reference.vehicle.states), 64, generator=generator) - 0.5
@@ -280,10 +327,9 @@ def _deviation(compiled: CompiledMotion, reference: TorchMotion, parameters: int
     command = torch.rand(2, 64, generator=generator) - 0.5
     command[1] += 2.0
     nominal = values(reference.vehicle)
-    table = torch.tensor([float(nominal[name]) for name in reference.names])[:, None].expand(parameters, 64)
-    return max(
-        map(_apart, _with_gradients(compiled, state, command, table), _with_gradients(reference, state, command, table))
-    )
+    table = torch.tensor([float(nominal[name]) for name in reference.names])[:, None].expand(-1, 64)
+    inputs = [tensor.to(device) for tensor in (state, command, table)]
+    return max(map(_apart, _with_gradients(compiled, *inputs), _with_gradients(reference, *inputs)))
 
 
 def _with_gradients(motion: Motion, *inputs: Tensor) -> tuple[Tensor, ...]:

@@ -32,6 +32,30 @@ def test_sim(tmp_path):
     assert 0 < facts["kernel_build_seconds"] < 60
 
 
+def test_policy(tmp_path):
+    words = ["benchmark=policy", "benchmark.budgets=[smoke]", "benchmark.calls=300", "threads=1"]
+    facts = bench(compose_settings("bench", words), tmp_path / "out", compose_settings)["policy_call_us"]["smoke"]
+    assert facts["layers"][1:] == [32, 32, 2] and facts["largest_difference"] < 1e-6
+    for way in ("onboard", "torch", "sb3_predict"):
+        assert 0 < facts[way]["median"] <= facts[way]["p99"]
+    assert facts["onboard"]["median"] < facts["torch"]["median"] < facts["sb3_predict"]["median"]
+
+
+@pytest.mark.slow
+def test_train(tmp_path):
+    brief = ["budgets=[smoke]", "seconds=0.1", "memory_steps=2048", "seeds=[0]", "patience=1", "margin=100"]
+    fast = ["fast=[budget=smoke]"]
+    words = ["benchmark=train", *(f"benchmark.{word}" for word in (*brief, *fast))]
+    facts = bench(compose_settings("bench", words), tmp_path / "out", compose_settings)
+    throughput = facts["throughput"]["smoke"]
+    assert throughput["ratio"] == pytest.approx(throughput["steps_per_s"] / throughput["stock_steps_per_s"])
+    assert 100 < facts["peak_memory_mb"] < 4000
+    lap = facts["time_to_lap"]
+    assert lap["runs"][0]["valid_laps"] < 20 and lap["arrived"] == 0  # a smoke budget learns nothing
+    assert lap["stock"][-1]["seconds"] >= 1 and not lap["stock_arrived"]
+    assert lap["ratio_at_least"] == pytest.approx(lap["stock"][-1]["seconds"] / lap["median_seconds"])
+
+
 def test_impossible_benchmarks_are_told(tmp_path):
     with pytest.raises(ConfigError, match="cars"):
         bench(compose_settings("bench", ["benchmark=sim", "benchmark.cars=[0]"]), tmp_path / "out", compose_settings)

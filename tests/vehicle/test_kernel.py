@@ -1,5 +1,6 @@
 """The compiled simulator against torch, and what happens without a compiler."""
 
+import ctypes
 import dataclasses
 import functools
 import logging
@@ -64,6 +65,31 @@ def test_gradients_follow_torch(any_car):
         assert (got - expected).abs().max() <= 1e-4 * (1.0 + expected.abs().max())
 
 
+EMULATION = """
+#include <math.h>
+#define __CUDACC__
+#define __device__
+#define __global__
+static const struct { int x; } blockIdx = {0}, threadIdx = {0}, blockDim = {1}, gridDim = {1};
+"""
+
+
+@pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler on this machine")
+def test_the_source_for_cuda_computes_the_same(any_car, tmp_path):
+    names = [name for name in NAMES if name in values(any_car)]
+    step = 0.001 if hasattr(any_car.drive, "current_limit") else 0.01
+    (tmp_path / "kernel.cpp").write_text(EMULATION + kernel.source(any_car, names, step, 5))
+    command = ["g++", "-O1", "-shared", "-fPIC", "kernel.cpp", "-o", "kernel.so"]
+    subprocess.run(command, cwd=tmp_path, check=True)
+    library = ctypes.CDLL(str(tmp_path / "kernel.so"))
+
+    def launch(name, tables, count):
+        getattr(library, name)(*(ctypes.c_void_p(table.data_ptr()) for table in tables), count)
+
+    deviation = kernel._deviation(CompiledMotion(launch), TorchMotion(any_car, names, step, 5), CPU)
+    assert deviation < kernel.TOLERANCE
+
+
 @needs_compiler
 def test_a_lost_car_stays_lost_and_alone(car):
     compiled = choose_motion(car, ["friction"], 0.01, 5, CPU, torch.float32)
@@ -113,7 +139,7 @@ def test_a_broken_compiler_is_survived(car, monkeypatch, caplog, tmp_path):
 @needs_compiler
 def test_a_wrong_kernel_is_refused(car, monkeypatch, caplog):
     other = dataclasses.replace(car, mass=car.mass * 1.3)
-    monkeypatch.setattr(kernel, "source", lambda vehicle, names, honest=kernel.source: honest(other, names))
+    monkeypatch.setattr(kernel, "source", lambda vehicle, *rest, honest=kernel.source: honest(other, *rest))
     with caplog.at_level(logging.WARNING):
         motion = choose_motion(car, [], 0.01, 5, CPU, torch.float32)
     assert motion.name == "torch" and "disagrees" in caplog.text
