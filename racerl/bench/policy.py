@@ -16,8 +16,8 @@ from racerl.bench import Compose, Progress
 from racerl.control.onboard import OnboardPolicy
 from racerl.errors import ConfigError
 from racerl.registry import construct
-from racerl.train.algorithms.ppo import extract_policy
 from racerl.train.ppo import Budget, RacePPO
+from racerl.train.session import policy_of
 
 BLOCK = 100  # calls of one kind before the next kind's turn
 
@@ -47,7 +47,7 @@ class Policy:
         race = build_race(settings, cars=1, seeds=[0])
         budget = construct(Budget, {**settings["budget"], "cars": 1}, "budget")
         model = RacePPO(race, budget, seed=0)
-        policy = extract_policy(model, race, settings)
+        policy = policy_of(model.actor(), race, settings)
         onboard = OnboardPolicy(policy)
         observation = race.observe()
         single = observation[0].numpy()

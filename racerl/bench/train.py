@@ -31,8 +31,8 @@ from racerl.evaluate.drive import drive
 from racerl.evaluate.laps import score
 from racerl.optimum.optimum import find_optimum
 from racerl.registry import construct
-from racerl.train.algorithms.ppo import extract_policy
-from racerl.train.ppo import Budget, RacePPO, hyperparameters
+from racerl.train.ppo import Budget, RacePPO, actor_of, hyperparameters
+from racerl.train.session import policy_of
 from racerl.train.train import train
 
 LAPS = 20
@@ -166,7 +166,7 @@ class Watch(BaseCallback):
         seconds = began - self._began - self._scoring
         if seconds < (len(self.scores) + 1) * self.benchmark.period and seconds < self.benchmark.patience:
             return
-        policy = extract_policy(self.model, self.race, self.settings)  # type: ignore[arg-type]
+        policy = policy_of(actor_of(self.model), self.race, self.settings)  # type: ignore[arg-type]
         self.scores.append({"seconds": seconds, "steps": self.num_timesteps, **self.judge(policy)})
         self._over = seconds >= self.benchmark.patience or _arrived(self.scores[-1], self.benchmark.margin)
         self._scoring += time.perf_counter() - began

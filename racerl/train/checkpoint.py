@@ -27,6 +27,7 @@ def save_checkpoint(model: RacePPO, folder: Path, facts: dict[str, Any]) -> None
     tensors |= {f"race.{name}": tensor for name, tensor in model.race.snapshot().items()}
     for i, state in model.policy.optimizer.state_dict()["state"].items():
         tensors |= {f"optimizer.{i}.{name}": torch.as_tensor(value) for name, value in state.items()}
+    tensors |= {f"normaliser.{name}": tensor for name, tensor in vars(model.normaliser).items()}
     tensors["random.shuffle"], tensors["random.torch"] = model.shuffle.get_state(), torch.get_rng_state()
     if model.device.type == "cuda":
         tensors["random.cuda"] = torch.cuda.get_rng_state(model.device)
@@ -44,6 +45,8 @@ def load_checkpoint(model: RacePPO, folder: Path) -> dict[str, Any]:
         model.policy.load_state_dict(_section(tensors, "policy."))
         _load_optimizer(model, _section(tensors, "optimizer."))
         model.race.restore(_section(tensors, "race."))
+        for name in vars(model.normaliser):
+            setattr(model.normaliser, name, tensors[f"normaliser.{name}"].to(model.device))
     except (SafetensorError, KeyError, TypeError, ValueError, RuntimeError, OSError) as error:
         raise RunError(f"{folder / FILE}: is damaged ({error}); remove the run folder and train again") from error
     for name in COUNTERS:

@@ -1,8 +1,9 @@
 """Proximal policy optimisation on the batched race: Stable-Baselines3's PPO with rollout and update on tensors.
 
-Policy, optimizer, schedules, callbacks and logger are Stable-Baselines3's. Overridden are collecting rollouts (no
-per-car Python) and the update (no synchronisation per minibatch), with an optional learning rate that follows the
-KL divergence of the updates.
+Policy, schedules, callbacks and logger are Stable-Baselines3's. Overridden are collecting rollouts (no per-car Python)
+and the update (no synchronisation per minibatch). Optional, and what makes the laptop budget fast: observations
+normalised by their running moments, a learning rate of the actor that follows the KL divergence of its updates while
+the critic keeps learning, and action noise that falls on a schedule.
 """
 
 import math
@@ -19,9 +20,13 @@ from torch import Tensor, nn
 from racerl.env.adapters.sb3 import RaceVecEnv
 from racerl.env.race import Race
 from racerl.errors import ConfigError
+from racerl.train.normaliser import Normaliser
 from racerl.train.rollout import Minibatch, Rollout
 
-KL_STEP = 1.5  # factor by which the learning rate follows the KL divergence
+KL_STEP = 1.3  # factor by which the actor's learning rate follows the KL divergence
+KL_LARGEST = 2.0  # times the target, beyond which the actor rests until the next rollout
+ADAM_EPSILON = 1e-5  # Stable-Baselines3's
+LOWEST_RATE = 0.001  # of the scheduled learning rate
 
 
 @dataclass(frozen=True)
@@ -42,7 +47,9 @@ class Budget:
     value: float = 0.5
     gradient_norm: float = 0.5
     initial_std: float = 1.0  # of the action noise
-    target_kl: float | None = None  # the learning rate follows it; None keeps the linear schedule
+    final_std: float | None = None  # falls to it exponentially; None: it is learned
+    target_kl: float | None = None  # the actor's learning rate follows it, below the schedule; None: the schedule alone
+    normalise: bool = False  # observations by their running mean and deviation
     actor: tuple[int, ...] = (256, 256)
     critic: tuple[int, ...] = (512, 512)
     evaluations: int = 20  # evenly over the training
@@ -54,6 +61,9 @@ class Budget:
         for name in ("learning_rate", "final_learning_rate", "clip", "gradient_norm", "initial_std"):
             if not getattr(self, name) > 0:
                 raise ConfigError(f"budget.{name} = {getattr(self, name)}: allowed is more than 0")
+        for name in ("final_std", "target_kl"):
+            if getattr(self, name) is not None and not getattr(self, name) > 0:
+                raise ConfigError(f"budget.{name} = {getattr(self, name)}: allowed is more than 0, or null")
         for name in ("gamma", "gae_lambda"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ConfigError(f"budget.{name} = {getattr(self, name)}: allowed is 0 … 1")
@@ -98,7 +108,22 @@ class RacePPO(PPO):
         )
         self.batch_size = budget.batch
         self.rollout = Rollout(budget.rollout, race.count, race.observation.size, 2, race.device)
-        self.rate_factor = 1.0  # of the scheduled learning rate, when it follows the KL divergence
+        self.rate_factor = 1.0  # of the actor's scheduled learning rate, when it follows the KL divergence
+        self.normaliser = Normaliser(race.observation.size, race.device)
+        self.policy.optimizer = torch.optim.Adam(self._parameter_groups(), eps=ADAM_EPSILON, fused=True)
+        self.policy.log_std.requires_grad_(budget.final_std is None)
+
+    def _parameter_groups(self) -> list[dict[str, Any]]:
+        """Return the actor's and the critic's parameters, which share none."""
+        extractor, policy = self.policy.mlp_extractor, self.policy
+        actor = [*extractor.policy_net.parameters(), *policy.action_net.parameters(), policy.log_std]
+        critic = [*extractor.value_net.parameters(), *policy.value_net.parameters()]
+        return [{"params": actor}, {"params": critic}]
+
+    def actor(self) -> nn.Sequential:
+        """Return the network of the mean action for observations as the race gives them."""
+        network = actor_of(self)
+        return self.normaliser.fold(network) if self.budget.normalise else network
 
     def collect_rollouts(
         self, env: VecEnv, callback: BaseCallback, rollout_buffer: RolloutBuffer, n_rollout_steps: int
@@ -106,11 +131,12 @@ class RacePPO(PPO):
         """Drive all cars for one rollout with the current stochastic policy."""
         callback.on_rollout_start()
         self.policy.set_training_mode(False)
+        self._set_noise()
         observation = self.race.observe()
         rollout = self.rollout
         with torch.no_grad():
             for t in range(n_rollout_steps):
-                action, value, log_prob = self.policy(observation)
+                action, value, log_prob = self.policy(self._seen(observation))
                 step = self.race.step(action)
                 rollout.observations[t], rollout.actions[t] = observation, action
                 rollout.values[t], rollout.log_probs[t] = value.flatten(), log_prob
@@ -120,7 +146,7 @@ class RacePPO(PPO):
                 self.num_timesteps += self.race.count
                 if not callback.on_step():
                     return False
-            rollout.estimate(self.policy.predict_values(observation).flatten(), self.gamma, self.gae_lambda)
+            rollout.estimate(self._values(observation), self.gamma, self.gae_lambda)
         callback.on_rollout_end()
         return True
 
@@ -128,24 +154,45 @@ class RacePPO(PPO):
         """Return γ·V of the final observation where an episode was cut off, else 0; shape (N,)."""
         if not bool(truncated.any()):
             return torch.zeros_like(truncated, dtype=final.dtype)
-        return self.gamma * self.policy.predict_values(final).flatten() * truncated
+        return self.gamma * self._values(final) * truncated
+
+    def _seen(self, observations: Tensor) -> Tensor:
+        """Return what the networks are shown."""
+        return self.normaliser(observations) if self.budget.normalise else observations
+
+    def _values(self, observations: Tensor) -> Tensor:
+        """Return the critic's values (N,)."""
+        return self.policy.predict_values(self._seen(observations)).flatten()
+
+    def _set_noise(self) -> None:
+        """Put the action noise where the schedule wants it."""
+        last = self.budget.final_std
+        if last is not None:
+            remaining = self._current_progress_remaining
+            noise = remaining * math.log(self.budget.initial_std) + (1.0 - remaining) * math.log(last)
+            with torch.no_grad():
+                self.policy.log_std.fill_(noise)
 
     def train(self) -> None:
         """Update actor and critic from the rollout."""
         self.policy.set_training_mode(True)
         self._update_learning_rate(self.policy.optimizer)
-        scheduled = self.policy.optimizer.param_groups[0]["lr"]
+        observations = self.rollout.observations
+        moments = observations.mean(dim=(0, 1)), observations.var(dim=(0, 1)), observations[..., 0].numel()
+        observations.copy_(self._seen(observations))
+        scheduled = self.policy.optimizer.param_groups[1]["lr"]
         sums: dict[str, Tensor] = {}
-        count = 0
+        count, resting = 0, False
         for _ in range(self.n_epochs):
+            self.policy.optimizer.param_groups[0]["lr"] = scheduled * self.rate_factor
             for batch in self.rollout.minibatches(self.batch_size, self.shuffle):
-                self.policy.optimizer.param_groups[0]["lr"] = scheduled * self.rate_factor
-                measures = self._update(batch)
+                measures = self._update(batch, resting)
                 count += 1
                 for name, value in measures.items():
                     sums[name] = sums.get(name, torch.zeros_like(value)) + value
-            self._follow_divergence(float(measures["approx_kl"]))
+            resting = resting or self._follow_divergence(float(measures["approx_kl"]))
         self._n_updates += self.n_epochs
+        self.normaliser.update(*moments)
         for name, value in sums.items():
             self.logger.record(f"train/{name}", float(value) / count)
         residual = (self.rollout.returns - self.rollout.values).var()
@@ -154,8 +201,11 @@ class RacePPO(PPO):
         self.logger.record("train/learning_rate", scheduled * self.rate_factor)
         self.logger.record("train/reward", float(self.rollout.rewards.mean()))
 
-    def _update(self, batch: Minibatch) -> dict[str, Tensor]:
-        """Take one gradient step; return its measures as tensors, so that nothing waits for them."""
+    def _update(self, batch: Minibatch, resting: bool) -> dict[str, Tensor]:
+        """Take one gradient step, of the critic alone while the actor rests.
+
+        Measures are returned as tensors, so that nothing waits for them.
+        """
         values, log_prob, entropy = self.policy.evaluate_actions(batch.observations, batch.actions)
         advantages = (batch.advantages - batch.advantages.mean()) / (batch.advantages.std() + 1e-8)
         log_ratio = log_prob - batch.log_probs
@@ -164,8 +214,10 @@ class RacePPO(PPO):
         policy_loss = -torch.minimum(advantages * ratio, advantages * ratio.clamp(1 - clip, 1 + clip)).mean()
         value_loss = nn.functional.mse_loss(values.flatten(), batch.returns)
         assert entropy is not None  # noqa: S101 (a Gaussian policy has one in closed form)
-        loss = policy_loss + self.vf_coef * value_loss - self.ent_coef * entropy.mean()
-        self.policy.optimizer.zero_grad()
+        loss = self.vf_coef * value_loss
+        if not resting:
+            loss = loss + policy_loss - self.ent_coef * entropy.mean()
+        self.policy.optimizer.zero_grad()  # to None: the optimizer passes over what has no gradient
         loss.backward()
         nn.utils.clip_grad_norm_(self.policy.parameters(), self.max_grad_norm)
         self.policy.optimizer.step()
@@ -177,16 +229,23 @@ class RacePPO(PPO):
                 "clip_fraction": ((ratio - 1).abs() > clip).float().mean(),
             }
 
-    def _follow_divergence(self, divergence: float) -> None:
-        """Lower the learning rate after steps that went too far, raise it after timid ones."""
+    def _follow_divergence(self, divergence: float) -> bool:
+        """Lower the actor's learning rate after steps that went too far, raise it after others; return if too far."""
         target = self.budget.target_kl
         if target is None:
-            return
-        if divergence > 2.0 * target:
+            return False
+        far = divergence > KL_LARGEST * target
+        if far:
             self.rate_factor /= KL_STEP
-        elif divergence < 0.5 * target:
+        elif divergence < target:
             self.rate_factor *= KL_STEP
-        self.rate_factor = min(max(self.rate_factor, 0.02), 1.0)
+        self.rate_factor = min(max(self.rate_factor, LOWEST_RATE), 1.0)
+        return far
+
+
+def actor_of(model: PPO) -> nn.Sequential:
+    """Return the mean action's network of any of Stable-Baselines3's PPO policies, sharing its weights."""
+    return nn.Sequential(*model.policy.mlp_extractor.policy_net, model.policy.action_net)
 
 
 class _LeakyReLU(nn.LeakyReLU):

@@ -2,9 +2,10 @@
 compiler at first use.
 
 `Vehicle.derivative` and its vector-Jacobian product become loops over 16 cars (see `codegen`). Parameters that differ
-between cars are inputs, all others constants. The same source is CUDA, with a car per thread. Gradients run backwards through the Runge–Kutta steps: with λ = ∂L/∂x',
-k̄_4 = hλ/6, k̄_3 = hλ/3 + h f_xᵀk̄_4, k̄_2 = hλ/3 + h/2 f_xᵀk̄_3, k̄_1 = hλ/6 + h/2 f_xᵀk̄_2, λ ← λ + Σ f_xᵀk̄_i. The
-library is checked against torch on random states before it is used. Without a compiler the step runs on torch.
+between cars are inputs, all others constants. The same source is CUDA, with a car per thread. Gradients run backwards
+through the Runge–Kutta steps: with λ = ∂L/∂x', k̄_4 = hλ/6, k̄_3 = hλ/3 + h f_xᵀk̄_4, k̄_2 = hλ/3 + h/2 f_xᵀk̄_3,
+k̄_1 = hλ/6 + h/2 f_xᵀk̄_2, λ ← λ + Σ f_xᵀk̄_i. The library is checked against torch on random states before it is used.
+Without a compiler the step runs on torch.
 """
 
 import ctypes

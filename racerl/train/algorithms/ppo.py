@@ -1,17 +1,12 @@
 """Proximal policy optimisation within the budget; an interrupted run continues from its checkpoint, bit for bit."""
 
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
-from torch import nn
 
 from racerl.assemble import build_race
-from racerl.control.policy import Policy
-from racerl.env.race import Race
 from racerl.registry import construct
 from racerl.train.checkpoint import FILE as CHECKPOINT
 from racerl.train.checkpoint import load_checkpoint, save_checkpoint
@@ -89,11 +84,5 @@ class Trainer(BaseCallback):
 
     def examine(self) -> None:
         """Evaluate the current policy."""
-        policy = extract_policy(self.model, self.model.race, self.session.settings)
+        policy = policy_of(self.model.actor(), self.model.race, self.session.settings)
         self.session.examine(policy, self.model.num_timesteps)
-
-
-def extract_policy(model: PPO, race: Race, settings: Mapping[str, Any]) -> Policy:
-    """Return the actor of a model that learns in this race, sharing its weights."""
-    network = nn.Sequential(*model.policy.mlp_extractor.policy_net, model.policy.action_net)
-    return policy_of(network, race, settings)
