@@ -180,17 +180,20 @@ class RacePPO(PPO):
         observations = self.rollout.observations
         moments = observations.mean(dim=(0, 1)), observations.var(dim=(0, 1)), observations[..., 0].numel()
         observations.copy_(self._seen(observations))
-        scheduled = self.policy.optimizer.param_groups[1]["lr"]
+        actor, critic = self.policy.optimizer.param_groups
+        scheduled = critic["lr"]
+        rate = torch.tensor(scheduled * self.rate_factor, device=self.device)
         sums: dict[str, Tensor] = {}
-        count, resting = 0, False
+        count = 0
         for _ in range(self.n_epochs):
-            self.policy.optimizer.param_groups[0]["lr"] = scheduled * self.rate_factor
             for batch in self.rollout.minibatches(self.batch_size, self.shuffle):
-                measures = self._update(batch, resting)
+                actor["lr"] = rate
+                measures = self._update(batch)
+                rate = rate * self._near(measures["approx_kl"])
                 count += 1
                 for name, value in measures.items():
                     sums[name] = sums.get(name, torch.zeros_like(value)) + value
-            resting = resting or self._follow_divergence(float(measures["approx_kl"]))
+        self._follow_divergence(bool(rate > 0), float(measures["approx_kl"]))
         self._n_updates += self.n_epochs
         self.normaliser.update(*moments)
         for name, value in sums.items():
@@ -201,11 +204,14 @@ class RacePPO(PPO):
         self.logger.record("train/learning_rate", scheduled * self.rate_factor)
         self.logger.record("train/reward", float(self.rollout.rewards.mean()))
 
-    def _update(self, batch: Minibatch, resting: bool) -> dict[str, Tensor]:
-        """Take one gradient step, of the critic alone while the actor rests.
+    def _near(self, divergence: Tensor) -> Tensor:
+        """Return 1 while the actor is near enough to the one that drove to go on learning, else 0."""
+        if self.budget.target_kl is None:
+            return torch.ones_like(divergence)
+        return (divergence <= KL_LARGEST * self.budget.target_kl).to(divergence.dtype)
 
-        Measures are returned as tensors, so that nothing waits for them.
-        """
+    def _update(self, batch: Minibatch) -> dict[str, Tensor]:
+        """Take one gradient step; return its measures as tensors, so that nothing waits for them."""
         values, log_prob, entropy = self.policy.evaluate_actions(batch.observations, batch.actions)
         advantages = (batch.advantages - batch.advantages.mean()) / (batch.advantages.std() + 1e-8)
         log_ratio = log_prob - batch.log_probs
@@ -214,10 +220,8 @@ class RacePPO(PPO):
         policy_loss = -torch.minimum(advantages * ratio, advantages * ratio.clamp(1 - clip, 1 + clip)).mean()
         value_loss = nn.functional.mse_loss(values.flatten(), batch.returns)
         assert entropy is not None  # noqa: S101 (a Gaussian policy has one in closed form)
-        loss = self.vf_coef * value_loss
-        if not resting:
-            loss = loss + policy_loss - self.ent_coef * entropy.mean()
-        self.policy.optimizer.zero_grad()  # to None: the optimizer passes over what has no gradient
+        loss = policy_loss + self.vf_coef * value_loss - self.ent_coef * entropy.mean()
+        self.policy.optimizer.zero_grad()
         loss.backward()
         nn.utils.clip_grad_norm_(self.policy.parameters(), self.max_grad_norm)
         self.policy.optimizer.step()
@@ -229,18 +233,16 @@ class RacePPO(PPO):
                 "clip_fraction": ((ratio - 1).abs() > clip).float().mean(),
             }
 
-    def _follow_divergence(self, divergence: float) -> bool:
-        """Lower the actor's learning rate after steps that went too far, raise it after others; return if too far."""
+    def _follow_divergence(self, near: bool, divergence: float) -> None:
+        """Lower the actor's learning rate after a rollout whose updates went too far, raise it after timid ones."""
         target = self.budget.target_kl
         if target is None:
-            return False
-        far = divergence > KL_LARGEST * target
-        if far:
+            return
+        if not near:
             self.rate_factor /= KL_STEP
         elif divergence < target:
             self.rate_factor *= KL_STEP
         self.rate_factor = min(max(self.rate_factor, LOWEST_RATE), 1.0)
-        return far
 
 
 def actor_of(model: PPO) -> nn.Sequential:

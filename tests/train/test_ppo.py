@@ -8,7 +8,7 @@ from stable_baselines3.common.logger import configure
 
 from racerl.errors import ConfigError
 from racerl.registry import construct
-from racerl.train.ppo import Budget, RacePPO
+from racerl.train.ppo import Budget, RacePPO, actor_of
 from racerl.train.rollout import Rollout
 from tests.env.test_race import make
 
@@ -113,12 +113,46 @@ def test_the_same_seed_gives_the_same_weights():
 
 def test_the_learning_rate_follows_the_divergence():
     model = learner(target_kl=0.01)
-    model._follow_divergence(0.05)
+    model._follow_divergence(False, 0.05)
     lowered = model.rate_factor
-    model._follow_divergence(0.001)
+    model._follow_divergence(True, 0.001)
     assert lowered < 1.0 and model.rate_factor > lowered
-    model._follow_divergence(0.01)
-    assert model.rate_factor > lowered
+    kept = model.rate_factor
+    model._follow_divergence(True, 0.015)
+    assert model.rate_factor == kept
+
+
+def test_an_actor_that_went_too_far_rests_while_the_critic_learns():
+    def changes(target):
+        model = learner(target_kl=target)
+        before = [[p.detach().clone() for p in group["params"]] for group in model.policy.optimizer.param_groups]
+        model.learn(1)
+        after = [group["params"] for group in model.policy.optimizer.param_groups]
+        return [
+            sum(float((new - old).detach().abs().sum()) for new, old in zip(*pair, strict=True))
+            for pair in zip(after, before, strict=True)
+        ]
+
+    # the first minibatch never diverges; whatever little it changed is too far for the second
+    (strict_actor, strict_critic), (free_actor, free_critic) = changes(1e-12), changes(1.0)
+    assert 0 < strict_actor < 0.3 * free_actor and strict_critic > 0.5 * free_critic
+
+
+def test_the_noise_falls_to_where_the_budget_wants_it():
+    model = learner(initial_std=0.5, final_std=0.05)
+    noise = []
+    model.learn(10 * 64 * 32, callback=lambda local, _: noise.append(float(model.policy.log_std[0].exp())) or True)
+    steps = np.array(noise[::32])
+    assert steps[0] == pytest.approx(0.5) and np.allclose(steps[1:] / steps[:-1], 0.1**0.1, rtol=1e-4)
+
+
+def test_the_policy_that_is_saved_drives_as_the_one_that_learned():
+    model = learner(normalise=True)
+    model.learn(3 * 64 * 32)
+    observation = model.race.observe()
+    inside = actor_of(model)(model.normaliser(observation))
+    assert (model.actor()(observation) - inside).abs().max() < 1e-4
+    assert (actor_of(model)(observation) - inside).abs().max() > 1e-2  # folding made the difference
 
 
 def test_the_paper_budget_is_the_papers():
