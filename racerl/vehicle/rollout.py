@@ -10,6 +10,9 @@ residuals e = w (x − y) of the observed states, each window returns its share 
 
     H = Σ (∂e/∂z)ᵀ (∂e/∂z),   g = Σ (∂e/∂z)ᵀ e,   z = (θ, x_0).
 
+Every window has parameters of its own where they are given as (P, W), so that windows × parameter sets (an effect whose
+strength is a parameter on in some, off in others) are one call, and nothing is compiled anew inside a fit.
+
 Derivatives come from CasADi's differentiation of `Vehicle.derivative`; the generated C runs in double precision over 8
 windows at a time, on several threads, with results that do not depend on their number. Without a compiler torch does
 the same by automatic differentiation, far more slowly.
@@ -102,7 +105,7 @@ void simulate(const real *x_0, const real *inputs, const real *parameters, real 
         long window[LANES];
         for (int l = 0; l < LANES; l++) window[l] = first + l < n ? first + l : n - 1;
         LOAD(x, x_0, S);
-        for (int i = 0; i < P; i++) for (int l = 0; l < LANES; l++) p[i][l] = parameters[i];
+        LOAD(p, parameters, P);
         for (long t = 0; t <= intervals; t++) {{
             for (int l = 0; l < LANES && first + l < n; l++)
                 for (int i = 0; i < S; i++) out[(t * S + i) * n + first + l] = x[i][l];
@@ -130,7 +133,7 @@ void accumulate(const real *x_0, const real *inputs, const real *parameters, con
         for (int l = 0; l < LANES; l++) window[l] = first + l < n ? first + l : n - 1;
         LOAD(x, x_0, S);
         LOAD(w, weight, C);
-        for (int i = 0; i < P; i++) for (int l = 0; l < LANES; l++) p[i][l] = parameters[i];
+        LOAD(p, parameters, P);
         memset(X, 0, sizeof X); memset(H, 0, sizeof H); memset(g, 0, sizeof g); memset(q, 0, sizeof q);
         for (int i = 0; i < A; i++) for (int l = 0; l < LANES; l++) X[i][P + i][l] = 1;
         for (long t = 0; t <= intervals; t++) {{
@@ -254,36 +257,38 @@ class Rollout:
         return np.array([float(table[name]) for name in self.names])
 
     def simulate(self, parameters: Array, windows: Windows, threads: int = 1) -> Array:
-        """Return the states (T + 1, S, W) of all windows."""
+        """Return the states (T + 1, S, W) of all windows, for parameters (P,) or (P, W)."""
+        parameters = _per_window(parameters, windows)
         steps, h = self.steps(windows.dt)
         intervals, states = len(windows.inputs), len(self.vehicle.states)
         if self._library is None:
-            return _simulate_torch(self, torch.as_tensor(parameters), windows, steps, h).numpy()
+            return _simulate_torch(self, torch.as_tensor(np.array(parameters)), windows, steps, h).numpy()
 
-        def run(part: Windows) -> Array:
+        def run(part: Windows, parameters: Array) -> Array:
             out = np.empty((intervals + 1, states, part.count))
             _call(
                 self._library, "simulate", [part.initial, part.inputs, parameters, out], part.count, intervals, steps, h
             )
             return out
 
-        parts = _in_chunks(run, windows, threads)
+        parts = _in_chunks(run, windows, parameters, threads)
         return np.concatenate(parts, axis=2)
 
     def accumulate(self, parameters: Array, windows: Windows, threads: int = 1) -> NormalEquations:
-        """Return the normal equations of every window at these parameters and the windows' initial states."""
+        """Return every window's normal equations at parameters (P,) or (P, W) and the windows' initial states."""
+        parameters = _per_window(parameters, windows)
         steps, h = self.steps(windows.dt)
         intervals, channels, size = len(windows.inputs), len(self.observed), self.size
         if self._library is None:
             return _accumulate_torch(self, parameters, windows, steps, h)
 
-        def run(part: Windows) -> tuple[Array, Array, Array]:
+        def run(part: Windows, parameters: Array) -> tuple[Array, Array, Array]:
             out = np.empty((part.count, size, size)), np.empty((part.count, size)), np.empty((part.count, channels))
             given = [part.initial, part.inputs, parameters, part.measured, part.weight]
             _call(self._library, "accumulate", [*given, *out], part.count, intervals, steps, h)
             return out
 
-        parts = _in_chunks(run, windows, threads)
+        parts = _in_chunks(run, windows, parameters, threads)
         return NormalEquations(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
     def steps(self, dt: float) -> tuple[int, float]:
@@ -292,13 +297,20 @@ class Rollout:
         return steps, dt / steps
 
 
-def _in_chunks(run: Any, windows: Windows, threads: int) -> list[Any]:
+def _per_window(parameters: Array, windows: Windows) -> Array:
+    """Return parameters (P, W) from those, or from (P,) for all windows."""
+    columns = parameters if parameters.ndim == 2 else parameters[:, None]
+    return np.broadcast_to(columns, (len(parameters), windows.count))
+
+
+def _in_chunks(run: Any, windows: Windows, parameters: Array, threads: int) -> list[Any]:
     """Call `run` on chunks of windows, in order; the compiled kernel lets other threads work meanwhile."""
-    chunks = [windows.take(slice(first, first + CHUNK)) for first in range(0, windows.count, CHUNK)]
+    parts = [slice(first, first + CHUNK) for first in range(0, windows.count, CHUNK)]
+    chunks = [(windows.take(part), parameters[:, part]) for part in parts]
     if threads == 1 or len(chunks) == 1:
-        return [run(chunk) for chunk in chunks]
+        return [run(*chunk) for chunk in chunks]
     with ThreadPoolExecutor(threads) as pool:
-        return list(pool.map(run, chunks))
+        return list(pool.map(lambda chunk: run(*chunk), chunks))
 
 
 def _call(library: Any, name: str, arrays: Sequence[Array], count: int, intervals: int, steps: int, h: float) -> None:
@@ -428,17 +440,16 @@ def _accumulate_torch(rollout: Rollout, parameters: Array, windows: Windows, ste
     """Form the normal equations by forward-mode differentiation, one unknown at a time."""
     active = [rollout.vehicle.states.index(name) for name in rollout.active]
     observed = [rollout.vehicle.states.index(name) for name in rollout.observed]
-    theta, initial = torch.as_tensor(parameters), torch.as_tensor(windows.initial)
+    theta, initial = torch.as_tensor(np.array(parameters)), torch.as_tensor(windows.initial)
     weight, measured = torch.as_tensor(windows.weight), torch.as_tensor(windows.measured)
     inputs = torch.as_tensor(windows.inputs)
 
     def residual(theta: torch.Tensor, initial: torch.Tensor) -> torch.Tensor:
-        spread = theta[:, None].expand(-1, windows.count)
-        car = replace_values(rollout.vehicle, dict(zip(rollout.names, spread.unbind(0), strict=True)))
+        car = replace_values(rollout.vehicle, dict(zip(rollout.names, theta.unbind(0), strict=True)))
         return weight * (roll_out(car, initial, inputs, steps, h)[:, observed] - measured)
 
     unknowns = torch.eye(rollout.size, dtype=theta.dtype)
-    d_theta = unknowns[:, : len(theta)]
+    d_theta = unknowns[:, : len(theta), None].expand(-1, -1, windows.count)
     d_initial = torch.zeros(rollout.size, *initial.shape, dtype=theta.dtype)
     d_initial[:, active] = unknowns[:, len(theta) :, None]
 

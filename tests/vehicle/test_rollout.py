@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from racerl.vehicle import rollout as rollout_module
+from racerl.vehicle.effects.aero_drag import AeroDrag
 from racerl.vehicle.parameter import replace_values, values
 from racerl.vehicle.rollout import Rollout, Windows, drive_by, roll_out
 from tests.vehicle.conftest import random_states
@@ -105,6 +106,26 @@ def test_threads_and_neighbours_change_nothing(car):
     alone = rollout.accumulate(theta, windows.take(np.array([77])))
     assert np.array_equal(one.H, two.H) and np.array_equal(one.g, two.g)
     assert np.allclose(one.H[77], alone.H[0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("compiled", [pytest.param(True, marks=needs_compiler), False])
+def test_windows_may_have_parameters_of_their_own(car, compiled, monkeypatch):
+    """One call for windows × parameter sets, an effect on in one of them, is what a call for each gives."""
+    car = dataclasses.replace(car, effects={"aero_drag": AeroDrag(coefficient=0.0)})
+    names = ["front.p_Ky1", "effects.aero_drag.coefficient"]
+    windows = windows_for(car, count=70 if compiled else 5)
+    rollout = Rollout(car, names, OBSERVED) if compiled else without_compiler(car, names, OBSERVED, monkeypatch)
+    sets = [rollout.nominal() * [1.0, 0.0], rollout.nominal() * [1.2, 0.0] + [0.0, 0.5]]
+    apart = [rollout.accumulate(theta, windows) for theta in sets]
+    both = windows.take(np.tile(np.arange(windows.count), 2))
+    table = np.repeat(np.stack(sets, axis=1), windows.count, axis=1)
+    together = rollout.accumulate(table, both, threads=2)
+    for part in ("H", "g", "squares"):
+        expected = np.concatenate([getattr(one, part) for one in apart])
+        assert np.allclose(getattr(together, part), expected, rtol=1e-9, atol=1e-9)
+    assert not np.allclose(apart[0].squares, apart[1].squares)
+    states = np.concatenate([rollout.simulate(theta, windows) for theta in sets], axis=2)
+    assert np.allclose(rollout.simulate(table, both), states, rtol=1e-9, atol=1e-9)
 
 
 def test_only_states_that_matter_are_active(car):
