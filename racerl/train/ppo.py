@@ -1,7 +1,7 @@
 """Proximal policy optimisation on the batched race: Stable-Baselines3's PPO with rollout and update on tensors.
 
-Policy, schedules, callbacks and logger are Stable-Baselines3's. Overridden are collecting rollouts (no per-car Python)
-and the update (no synchronisation per minibatch). Optional, and what makes the laptop budget fast: observations
+Networks, schedules, callbacks and logger are Stable-Baselines3's. Overridden are collecting rollouts (no per-car
+Python) and the update (no synchronisation per minibatch). Optional, and what makes the laptop budget fast: observations
 normalised by their running moments, a learning rate of the actor that follows the KL divergence of its updates while
 the critic keeps learning, and action noise that falls on a schedule.
 """
@@ -110,20 +110,16 @@ class RacePPO(PPO):
         self.rollout = Rollout(budget.rollout, race.count, race.observation.size, 2, race.device)
         self.rate_factor = 1.0  # of the actor's scheduled learning rate, when it follows the KL divergence
         self.normaliser = Normaliser(race.observation.size, race.device)
-        self.policy.optimizer = torch.optim.Adam(self._parameter_groups(), eps=ADAM_EPSILON, fused=True)
+        self._mean = actor_of(self)
+        self._value = nn.Sequential(*self.policy.mlp_extractor.value_net, self.policy.value_net)
+        actor, critic = [*self._mean.parameters(), self.policy.log_std], [*self._value.parameters()]
+        groups: list[dict[str, Any]] = [{"params": actor}, {"params": critic}]
+        self.policy.optimizer = torch.optim.Adam(groups, eps=ADAM_EPSILON, fused=True)
         self.policy.log_std.requires_grad_(budget.final_std is None)
-
-    def _parameter_groups(self) -> list[dict[str, Any]]:
-        """Return the actor's and the critic's parameters, which share none."""
-        extractor, policy = self.policy.mlp_extractor, self.policy
-        actor = [*extractor.policy_net.parameters(), *policy.action_net.parameters(), policy.log_std]
-        critic = [*extractor.value_net.parameters(), *policy.value_net.parameters()]
-        return [{"params": actor}, {"params": critic}]
 
     def actor(self) -> nn.Sequential:
         """Return the network of the mean action for observations as the race gives them."""
-        network = actor_of(self)
-        return self.normaliser.fold(network) if self.budget.normalise else network
+        return self.normaliser.fold(self._mean) if self.budget.normalise else self._mean
 
     def collect_rollouts(
         self, env: VecEnv, callback: BaseCallback, rollout_buffer: RolloutBuffer, n_rollout_steps: int
@@ -136,7 +132,10 @@ class RacePPO(PPO):
         rollout = self.rollout
         with torch.no_grad():
             for t in range(n_rollout_steps):
-                action, value, log_prob = self.policy(self._seen(observation))
+                seen = self._seen(observation)
+                mean = self._mean(seen)
+                action = mean + self.policy.log_std.exp() * torch.randn_like(mean)
+                value, log_prob = self._value(seen), self._log_prob(mean, action)
                 step = self.race.step(action)
                 rollout.observations[t], rollout.actions[t] = observation, action
                 rollout.values[t], rollout.log_probs[t] = value.flatten(), log_prob
@@ -162,13 +161,19 @@ class RacePPO(PPO):
 
     def _values(self, observations: Tensor) -> Tensor:
         """Return the critic's values (N,)."""
-        return self.policy.predict_values(self._seen(observations)).flatten()
+        values: Tensor = self._value(self._seen(observations))
+        return values.flatten()
+
+    def _log_prob(self, mean: Tensor, actions: Tensor) -> Tensor:
+        """Return the log density (N,) of actions, normally distributed around their mean."""
+        log_std = self.policy.log_std
+        return -(0.5 * ((actions - mean) * (-log_std).exp()) ** 2 + log_std + 0.5 * math.log(2 * math.pi)).sum(dim=1)
 
     def _set_noise(self) -> None:
         """Put the action noise where the schedule wants it."""
         last = self.budget.final_std
         if last is not None:
-            remaining = self._current_progress_remaining
+            remaining = max(self._current_progress_remaining, 0.0)  # the last rollout may end late
             noise = remaining * math.log(self.budget.initial_std) + (1.0 - remaining) * math.log(last)
             with torch.no_grad():
                 self.policy.log_std.fill_(noise)
@@ -212,15 +217,15 @@ class RacePPO(PPO):
 
     def _update(self, batch: Minibatch) -> dict[str, Tensor]:
         """Take one gradient step; return its measures as tensors, so that nothing waits for them."""
-        values, log_prob, entropy = self.policy.evaluate_actions(batch.observations, batch.actions)
+        log_prob = self._log_prob(self._mean(batch.observations), batch.actions)
         advantages = (batch.advantages - batch.advantages.mean()) / (batch.advantages.std() + 1e-8)
         log_ratio = log_prob - batch.log_probs
         ratio = log_ratio.exp()
         clip = self.budget.clip
         policy_loss = -torch.minimum(advantages * ratio, advantages * ratio.clamp(1 - clip, 1 + clip)).mean()
-        value_loss = nn.functional.mse_loss(values.flatten(), batch.returns)
-        assert entropy is not None  # noqa: S101 (a Gaussian policy has one in closed form)
-        loss = policy_loss + self.vf_coef * value_loss - self.ent_coef * entropy.mean()
+        value_loss = nn.functional.mse_loss(self._value(batch.observations).flatten(), batch.returns)
+        entropy = (self.policy.log_std + 0.5 * math.log(2 * math.pi * math.e)).sum()
+        loss = policy_loss + self.vf_coef * value_loss - self.ent_coef * entropy
         self.policy.optimizer.zero_grad()
         loss.backward()
         nn.utils.clip_grad_norm_(self.policy.parameters(), self.max_grad_norm)

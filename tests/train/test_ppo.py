@@ -83,9 +83,12 @@ def mean_reward(model, steps):
     return np.mean(rewards[1:4]), np.mean(rewards[-4:])
 
 
+QUICK = {"normalise": True, "target_kl": 0.02, "batch": 256}
+
+
 def test_a_policy_improves():
     # a car that beginners get along with; the default one takes longer than a test has
-    first, last = mean_reward(learner(make("vehicle=published", cars=64)), 60_000)
+    first, last = mean_reward(learner(make("vehicle=published", cars=64), **QUICK), 60_000)
     assert last > first + 0.02
 
 
@@ -94,7 +97,7 @@ def test_a_policy_that_is_blind_to_what_it_does_cannot_improve():
     race = make("vehicle=published", cars=64)
     honest = race.step
     race.step = lambda action: honest(action.roll(1, dims=0))  # type: ignore[method-assign]
-    first, last = mean_reward(learner(race), 60_000)
+    first, last = mean_reward(learner(race, **QUICK), 60_000)
     assert last < first + 0.01
 
 
