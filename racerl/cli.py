@@ -255,12 +255,18 @@ def _bench(settings: "Settings", out: Path) -> None:
     from racerl.bench.bench import RESULT, bench
     from racerl.config import compose_settings
     from racerl.console import Bar
+    from racerl.documents import write_text
+    from racerl.report.figures import cost
 
     console = _console()
     with Bar(console, "bench") as bar:
         facts = bench(settings, out, compose_settings, bar.show)
     console.print_json(data=facts)
-    console.print(f"numbers in {out / RESULT}", highlight=False, soft_wrap=True)
+    written = [out / RESULT]
+    if picture := cost.draw(facts):
+        written.append(out / "cost.svg")
+        write_text(written[-1], picture)
+    console.print(f"numbers in {' and '.join(map(str, written))}", highlight=False, soft_wrap=True)
 
 
 def _optimum(settings: "Settings", out: Path) -> None:

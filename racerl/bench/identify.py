@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from racerl.bench import Compose, Progress
 from racerl.data.log import Log
@@ -37,36 +38,36 @@ CLOSE = 1.01  # of Gauss–Newton's cost, at which AdamW counts as arrived
 
 @dataclass(frozen=True)
 class Identify:
-    """`seconds` of a hidden car's excitation programme; AdamW gets at most `passes` at `rate`."""
+    """`seconds` of a hidden car's excitation programme; AdamW gets at most `passes` at `rate`; `shorter` logs too."""
 
     seconds: float
     passes: int
     rate: float
+    shorter: tuple[float, ...] = ()  # s, of further logs that the command is timed on
 
     def measure(self, compose: Compose, threads: int, on_progress: Progress) -> dict[str, Any]:
         """Return seconds, passes and ratios."""
-        on_progress(0.0, "recording the drive")
-        words = ["vehicle=published", "hidden.spread=0.2", f"seconds={self.seconds}"]
-        record = compose("record", words)
         settings = {**compose("identify", ["logs=drive.parquet", "vehicle=published"]), "threads": threads}
-        drive = table(Plan.of(record).drive(), **record["smoothing"])
-        log = Log.from_table("drive", drive.drop(columns="manoeuvre"))
-        on_progress(0.1, "the whole command")
-        whole = _whole_command(drive, settings)
-        task, scored = _prepare(log, settings)
-        fold = deal(scored.cut, settings["folds"])[0][0]
-        seen, unseen = np.flatnonzero(fold.seen(task.cut)), np.flatnonzero(fold.unseen(scored.cut))
-        first = task.objective(seen, 1.0, 0.0)
-        data = first.linearise(first.start(task.unknowns.start)).data
-        objective = task.objective(seen, float(len(seen) * len(task.weight)), data)
+        growth = []
+        for length in (*self.shorter, self.seconds):
+            on_progress(0.05, f"the whole command on {length:g} s")
+            drive = _record(compose, length)
+            log = Log.from_table("drive", drive.drop(columns="manoeuvre"))
+            whole = _whole_command(drive, settings)
+            task, scored = _prepare(log, settings)
+            objective, unseen = _objective(task, scored, settings)
+            newton_seconds, newton = _timed(_gauss_newton, objective)
+            growth.append(
+                {
+                    "log_seconds": log.seconds,
+                    "command_seconds": whole["seconds"],
+                    "gauss_newton_seconds": newton_seconds,
+                }
+            )
 
         def held_out(fit: Fit) -> dict[str, float | None]:
             return scored.errors(fit.point.theta, unseen).rmse()[str(settings["window"])]
 
-        on_progress(0.3, "Gauss-Newton")
-        newton_seconds, newton = _timed(
-            lambda: GaussNewton().fit(objective, objective.start(objective.unknowns.start), _quiet)
-        )
         on_progress(0.35, "one pass on torch")
         start = objective.start(objective.unknowns.start)
         torch_pass, gradient = _timed(lambda: torch_gradient(objective, start))
@@ -80,6 +81,7 @@ class Identify:
             "windows": objective.windows.count,
             "parameters": len(objective.unknowns.names),
             "command": whole,
+            "growth": growth,
             "gauss_newton": {
                 "seconds": newton_seconds,
                 "steps": newton.steps,
@@ -110,6 +112,25 @@ class Identify:
         return seconds * passes / max(len(costs), 1), passes, fit
 
 
+def _record(compose: Compose, seconds: float) -> pd.DataFrame:
+    """Return so much driving of a hidden car."""
+    record = compose("record", ["vehicle=published", "hidden.spread=0.2", f"seconds={seconds}"])
+    return table(Plan.of(record).drive(), **record["smoothing"])
+
+
+def _objective(task: Task, scored: Scored, settings: Mapping[str, Any]) -> tuple[Objective, NDArray[np.int64]]:
+    """Return the command's objective over the first fold's windows, and the windows it has not seen."""
+    fold = deal(scored.cut, settings["folds"])[0][0]
+    seen, unseen = np.flatnonzero(fold.seen(task.cut)), np.flatnonzero(fold.unseen(scored.cut))
+    first = task.objective(seen, 1.0, 0.0)
+    data = first.linearise(first.start(task.unknowns.start)).data
+    return task.objective(seen, float(len(seen) * len(task.weight)), data), unseen
+
+
+def _gauss_newton(objective: Objective) -> Fit:
+    return GaussNewton().fit(objective, objective.start(objective.unknowns.start), _quiet)
+
+
 def _whole_command(drive: pd.DataFrame, settings: Mapping[str, Any]) -> dict[str, float]:
     """Return the seconds of `racerl identify` with all its starts and held-out runs."""
     with tempfile.TemporaryDirectory() as folder:
@@ -129,9 +150,9 @@ def _prepare(log: Log, settings: Mapping[str, Any]) -> tuple[Task, Scored]:
     return make_task(settings, rollout, unknowns, wiring, [log]), Scored(rollout, wiring, [log], settings)
 
 
-def _timed(call: Any) -> tuple[float, Any]:
+def _timed(call: Any, *arguments: Any) -> tuple[float, Any]:
     began = time.perf_counter()
-    result = call()
+    result = call(*arguments)
     return time.perf_counter() - began, result
 
 

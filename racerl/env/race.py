@@ -187,18 +187,17 @@ class Race(Rows):
         self._apply(action)
         progress, faulty = self._move()
         ended = self.termination(self)
-        truncated = self.age >= self.timing.max_steps
+        reward = progress_reward(progress, ended)
         if faulty is not self._nobody:
-            ended, truncated = ended & ~faulty, truncated & ~faulty
-        truncated = truncated & ~ended
-        reward = progress_reward(progress, ended, faulty)
+            reward, ended = reward.masked_fill(faulty, 0.0), ended | faulty
+        truncated = (self.age >= self.timing.max_steps) & ~ended
         final, command, margin = self.observe(), self.command, self.margin
-        over = ended | truncated | faulty
+        over = ended | truncated
         observation = final
         if bool(over.any()):
             cars = self._restart(over)
             observation = final.index_copy(0, cars, self.observe(cars))
-        return Step(observation, reward, ended | faulty, truncated, final, progress, command, margin, faulty)
+        return Step(observation, reward, ended, truncated, final, progress, command, margin, faulty)
 
     def _apply(self, action: Tensor) -> None:
         last = self.command
@@ -231,8 +230,9 @@ class Race(Rows):
 
     def _measure(self) -> None:
         """Update the offset from the middle of the track and the distance to its boundary from s and n."""
-        self.offset = self.n - self.frame.lookup(self.frame.middle, self.s)
-        self.margin = self.frame.lookup(self.frame.half_width, self.s) - self.offset.abs()
+        middle, half_width = self.frame.lookup(self.s, self.frame.middle, self.frame.half_width)
+        self.offset = self.n - middle
+        self.margin = half_width - self.offset.abs()
 
     def _restart(self, mask: Tensor) -> Tensor:
         """Start the masked cars at a random place on the centreline with new parameters; return their numbers (K,)."""

@@ -6,7 +6,6 @@ from torch import Tensor
 OFF_TRACK = -1.0
 
 
-def progress_reward(progress: Tensor, ended: Tensor, faulty: Tensor) -> Tensor:
-    """Return (N,): s_t − s_{t−1}; −1 where the episode ended off track; 0 where the simulation failed."""
-    reward = torch.where(ended, torch.full_like(progress, OFF_TRACK), progress)
-    return torch.where(faulty, torch.zeros_like(progress), reward)
+def progress_reward(progress: Tensor, ended: Tensor) -> Tensor:
+    """Return (N,): s_t − s_{t−1}; −1 where the episode ended off track."""
+    return torch.where(ended, OFF_TRACK, progress)

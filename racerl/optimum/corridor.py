@@ -85,7 +85,8 @@ class Corridor:
                 torch.as_tensor(x - side * n * np.sin(yaw)), torch.as_tensor(y + side * n * np.cos(yaw)), s
             )
             s = foot.s
-            left, right = frame.lookup(frame.width_left, s) - foot.n, frame.lookup(frame.width_right, s) + foot.n
+            left, right = frame.lookup(s, frame.width_left, frame.width_right)
+            left, right = left - foot.n, right + foot.n
             margin = torch.minimum(left, right).numpy()
             reached = walking & (margin < 0)
             room[reached] = np.maximum(0.0, n - STEP + STEP * (before / (before - margin))[reached])

@@ -107,7 +107,8 @@ def margins(track: Track, x: Array, y: Array) -> Array:
     for point in torch.as_tensor(np.stack([x, y], axis=1)):
         foot = frame.project(point[:1], point[1:], s)
         s = foot.s
-        left, right = frame.lookup(frame.width_left, s) - foot.n, frame.lookup(frame.width_right, s) + foot.n
+        left, right = frame.lookup(s, frame.width_left, frame.width_right)
+        left, right = left - foot.n, right + foot.n
         found.append(float(torch.minimum(left, right)))
     return np.array(found)
 

@@ -76,15 +76,16 @@ class FrenetFrame:
         """Return the signed shortest way from one s to another, in [−length/2, length/2)."""
         return torch.remainder(s_to - s_from + self.length / 2, self.length) - self.length / 2
 
-    def lookup(self, table: Tensor, s: Tensor) -> Tensor:
-        """Interpolate a table linearly and periodically at s of any shape."""
+    def lookup(self, s: Tensor, *tables: Tensor) -> list[Tensor]:
+        """Interpolate tables linearly and periodically at s of any shape."""
         if self._kernel is not None and not s.requires_grad:
-            return self._kernel.lookup(table, s, self.spacing)
+            return self._kernel.lookup(tables, s, self.spacing)
         position = self.wrap(s) / self.spacing
         cell = position.floor()
         share = position - cell
         index = cell.long() % self.count
-        return torch.lerp(table[index], table[(index + 1) % self.count], share)
+        following = (index + 1) % self.count
+        return [torch.lerp(table[index], table[following], share) for table in tables]
 
     def position(self, s: Tensor, n: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return x, y and the centreline's yaw at (s, n), exact to the arc within a cell."""

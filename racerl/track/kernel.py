@@ -5,6 +5,7 @@ What is computed, and why, stands in `racerl.track.frenet`; a test holds the two
 
 import ctypes
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -92,22 +93,29 @@ void position(const float (*cells)[6], long count, float spacing, const float *s
         position_of(cells, count, spacing, s[car], n[car], &x[car], &y[car], &direction[car]);
 }}
 
-/* in whole groups, so that a number does not depend on how many are asked for */
-void lookup(const float *table, long count, float spacing, const float *s, float *out, long numbers) {{
+/* tables at s, one row of `out` each; in whole groups, so that a number does not depend on how many are asked for */
+void lookup(const float *const *tables, long rows, long count, float spacing, const float *s, float *out,
+            long numbers) {{
     const float length = count * spacing;
     for (long first = 0; first < numbers; first += LANES) {{
-        float given[LANES], found[LANES];
+        float given[LANES], share[LANES], found[LANES];
+        int at[LANES], next[LANES];
         for (int l = 0; l < LANES; l++) given[l] = s[first + l < numbers ? first + l : numbers - 1];
         #pragma omp simd
         for (int l = 0; l < LANES; l++) {{
             float position = (given[l] - length * floorf(given[l] / length)) / spacing;
-            float cell = floorf(position), share = position - cell;
-            int at = (int)cell;
-            at = at >= (int)count ? at - (int)count : at < 0 ? 0 : at;
-            int next = at + 1 >= (int)count ? 0 : at + 1;
-            found[l] = table[at] + share * (table[next] - table[at]);
+            float cell = floorf(position);
+            int index = (int)cell;
+            share[l] = position - cell;
+            at[l] = index >= (int)count ? index - (int)count : index < 0 ? 0 : index;
+            next[l] = at[l] + 1 >= (int)count ? 0 : at[l] + 1;
         }}
-        for (int l = 0; l < LANES && first + l < numbers; l++) out[first + l] = found[l];
+        for (long row = 0; row < rows; row++) {{
+            const float *table = tables[row];
+            #pragma omp simd
+            for (int l = 0; l < LANES; l++) found[l] = table[at[l]] + share[l] * (table[next[l]] - table[at[l]]);
+            for (int l = 0; l < LANES && first + l < numbers; l++) out[row * numbers + first + l] = found[l];
+        }}
     }}
 }}
 """
@@ -143,12 +151,13 @@ class TrackKernel:
         self.library.position(cells.data_ptr(), len(cells), spacing, *pointers, s.numel())
         return x, y, yaw
 
-    def lookup(self, table: Tensor, s: Tensor, spacing: float) -> Tensor:
-        """Return the table (M,) interpolated linearly and periodically at s of any shape."""
-        s = s.to(table.dtype).contiguous()
-        out = torch.empty_like(s)
-        self.library.lookup(table.data_ptr(), len(table), spacing, s.data_ptr(), out.data_ptr(), s.numel())
-        return out
+    def lookup(self, tables: Sequence[Tensor], s: Tensor, spacing: float) -> list[Tensor]:
+        """Return the tables (M,) interpolated linearly and periodically at s of any shape."""
+        s = s.to(tables[0].dtype).contiguous()
+        out = torch.empty((len(tables), *s.shape), dtype=s.dtype)
+        rows = (ctypes.c_void_p * len(tables))(*(table.data_ptr() for table in tables))
+        self.library.lookup(rows, len(tables), len(tables[0]), spacing, s.data_ptr(), out.data_ptr(), s.numel())
+        return list(out.unbind())
 
 
 @functools.cache
@@ -159,7 +168,7 @@ def load_kernel(ridge: float, smallest_stretch: float) -> TrackKernel | None:
         return None
     pointer, whole, number = ctypes.c_void_p, ctypes.c_long, ctypes.c_float
     library.project.argtypes = [pointer, whole, number, whole, *[pointer] * 6, whole]
-    library.lookup.argtypes = [pointer, whole, number, pointer, pointer, whole]
+    library.lookup.argtypes = [pointer, whole, whole, number, pointer, pointer, whole]
     library.position.argtypes = [pointer, whole, number, *[pointer] * 5, whole]
     library.project.restype = library.position.restype = library.lookup.restype = None
     return TrackKernel(library)

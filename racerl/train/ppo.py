@@ -187,18 +187,16 @@ class RacePPO(PPO):
         observations.copy_(self._seen(observations))
         actor, critic = self.policy.optimizer.param_groups
         scheduled = critic["lr"]
-        rate = torch.tensor(scheduled * self.rate_factor, device=self.device)
+        actor["lr"] = scheduled * self.rate_factor
         sums: dict[str, Tensor] = {}
-        count = 0
+        count, resting = 0, False
         for _ in range(self.n_epochs):
             for batch in self.rollout.minibatches(self.batch_size, self.shuffle):
-                actor["lr"] = rate
-                measures = self._update(batch)
-                rate = rate * self._near(measures["approx_kl"])
+                measures, resting = self._update(batch, resting)
                 count += 1
                 for name, value in measures.items():
                     sums[name] = sums.get(name, torch.zeros_like(value)) + value
-        self._follow_divergence(bool(rate > 0), float(measures["approx_kl"]))
+        self._follow_divergence(resting, float(measures["approx_kl"]))
         self._n_updates += self.n_epochs
         self.normaliser.update(*moments)
         for name, value in sums.items():
@@ -209,41 +207,46 @@ class RacePPO(PPO):
         self.logger.record("train/learning_rate", scheduled * self.rate_factor)
         self.logger.record("train/reward", float(self.rollout.rewards.mean()))
 
-    def _near(self, divergence: Tensor) -> Tensor:
-        """Return 1 while the actor is near enough to the one that drove to go on learning, else 0."""
-        if self.budget.target_kl is None:
-            return torch.ones_like(divergence)
-        return (divergence <= KL_LARGEST * self.budget.target_kl).to(divergence.dtype)
+    def _update(self, batch: Minibatch, resting: bool) -> tuple[dict[str, Tensor], bool]:
+        """Take one gradient step, of the critic alone while the actor rests.
 
-    def _update(self, batch: Minibatch) -> dict[str, Tensor]:
-        """Take one gradient step; return its measures as tensors, so that nothing waits for them."""
+        Return its measures, as tensors so that nothing waits for them, and whether the actor now rests.
+        """
         log_prob = self._log_prob(self._mean(batch.observations), batch.actions)
-        advantages = (batch.advantages - batch.advantages.mean()) / (batch.advantages.std() + 1e-8)
         log_ratio = log_prob - batch.log_probs
         ratio = log_ratio.exp()
+        divergence = (ratio - 1 - log_ratio).mean().detach()
+        resting = resting or self._too_far(divergence)
+        advantages = (batch.advantages - batch.advantages.mean()) / (batch.advantages.std() + 1e-8)
         clip = self.budget.clip
         policy_loss = -torch.minimum(advantages * ratio, advantages * ratio.clamp(1 - clip, 1 + clip)).mean()
         value_loss = nn.functional.mse_loss(self._value(batch.observations).flatten(), batch.returns)
-        entropy = (self.policy.log_std + 0.5 * math.log(2 * math.pi * math.e)).sum()
-        loss = policy_loss + self.vf_coef * value_loss - self.ent_coef * entropy
-        self.policy.optimizer.zero_grad()
+        loss = self.vf_coef * value_loss
+        if not resting:
+            entropy = (self.policy.log_std + 0.5 * math.log(2 * math.pi * math.e)).sum()
+            loss = loss + policy_loss - self.ent_coef * entropy
+        self.policy.optimizer.zero_grad()  # to None: the optimizer passes over what has no gradient
         loss.backward()
         nn.utils.clip_grad_norm_(self.policy.parameters(), self.max_grad_norm)
         self.policy.optimizer.step()
-        with torch.no_grad():
-            return {
-                "policy_loss": policy_loss.detach(),
-                "value_loss": value_loss.detach(),
-                "approx_kl": (ratio - 1 - log_ratio).mean(),
-                "clip_fraction": ((ratio - 1).abs() > clip).float().mean(),
-            }
+        return {
+            "policy_loss": policy_loss.detach(),
+            "value_loss": value_loss.detach(),
+            "approx_kl": divergence,
+            "clip_fraction": ((ratio - 1).abs() > clip).float().mean(),
+        }, resting
 
-    def _follow_divergence(self, near: bool, divergence: float) -> None:
+    def _too_far(self, divergence: Tensor) -> bool:
+        """Return whether the actor has gone too far from the one that drove; never without a target."""
+        target = self.budget.target_kl
+        return target is not None and bool(divergence > KL_LARGEST * target)
+
+    def _follow_divergence(self, rested: bool, divergence: float) -> None:
         """Lower the actor's learning rate after a rollout whose updates went too far, raise it after timid ones."""
         target = self.budget.target_kl
         if target is None:
             return
-        if not near:
+        if rested:
             self.rate_factor /= KL_STEP
         elif divergence < target:
             self.rate_factor *= KL_STEP

@@ -6,10 +6,12 @@ from racerl.bench.bench import bench
 from racerl.config import compose_settings
 from racerl.documents import read_json
 from racerl.errors import ConfigError, RunError
+from racerl.report.figures import cost
 
 
 def test_identify(tmp_path):
-    words = ["benchmark=identify", "benchmark.seconds=40", "benchmark.passes=3", "threads=1"]
+    words = ["identify", "seconds=40", "shorter=[20]", "passes=3"]
+    words = ["threads=1", *(f"benchmark{'.' if '=' in word else '='}{word}" for word in words)]
     settings = compose_settings("bench", words)
     facts = bench(settings, tmp_path / "out", compose_settings)
     assert facts == read_json(tmp_path / "out" / "bench.json")
@@ -17,6 +19,9 @@ def test_identify(tmp_path):
     assert facts["gauss_newton"]["cost"] <= facts["adamw"]["cost"]
     expected = facts["torch_adamw"]["seconds"] / facts["gauss_newton"]["seconds"]
     assert facts["ratio_torch_adamw_to_gauss_newton"] == pytest.approx(expected)
+    assert [round(row["log_seconds"]) for row in facts["growth"]] == [20, 40]
+    assert facts["growth"][1]["command_seconds"] == facts["command"]["seconds"]
+    assert cost.draw(facts) == cost.draw(facts)  # byte for byte
     assert facts["threads"] == 1 and {"cpu", "git_sha", "libraries"} <= set(facts)
     with pytest.raises(RunError, match="already holds"):
         bench(settings, tmp_path / "out", compose_settings)
@@ -30,6 +35,7 @@ def test_sim(tmp_path):
     assert facts["dynamics_steps_per_s_per_thread"]["400"] > facts["env_steps_per_s_per_thread"]["400"]
     assert facts["kernel"] == "torch" or min(facts["ratio_dynamics_to_torch"].values()) > 2
     assert 0 < facts["kernel_build_seconds"] < 60
+    assert cost.draw(facts).count("<use ") > 2 * 4  # a mark for each number of cars and each curve
 
 
 def test_policy(tmp_path):
@@ -38,6 +44,7 @@ def test_policy(tmp_path):
     assert facts["layers"][1:] == [32, 32, 2] and facts["largest_difference"] < 1e-6
     for way in ("onboard", "torch", "sb3_predict"):
         assert 0 < facts[way]["median"] <= facts[way]["p99"]
+    assert cost.draw(facts) is None
     assert facts["onboard"]["median"] < facts["torch"]["median"] < facts["sb3_predict"]["median"]
 
 

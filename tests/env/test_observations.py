@@ -20,7 +20,7 @@ def test_geometric_lists_car_and_preview():
     assert seen[5:10].tolist() == pytest.approx([0.0, 0.0, 0.0, 3.0 / 7.0, 0.5], abs=1e-6)
     ahead = 11.0 + 0.3 * torch.arange(1, 21)
     assert torch.allclose(
-        seen[10:30] * race.track.max_curvature, race.frame.lookup(race.frame.curvature, ahead), atol=1e-4
+        seen[10:30] * race.track.max_curvature, race.frame.lookup(ahead, race.frame.curvature)[0], atol=1e-4
     )
     assert torch.allclose(seen[30:], torch.ones(20))
 

@@ -22,7 +22,7 @@ class Follower:
     name = "follower"
 
     def act(self, race):
-        curvature = race.frame.lookup(race.frame.curvature, race.s + 0.2)
+        curvature = race.frame.lookup(race.s + 0.2, race.frame.curvature)[0]
         steering = 0.33 * curvature - 1.2 * race.n - 1.0 * race.heading
         return torch.stack([steering / 0.5, (1.2 - race.omega)], dim=1)
 
@@ -65,7 +65,7 @@ def test_a_car_that_creeps_is_given_up(caplog):
         def act(self, race):
             return torch.stack(
                 [
-                    0.66 * race.frame.lookup(race.frame.curvature, race.s + 0.1) - 2.4 * race.n - 2.0 * race.heading,
+                    0.66 * race.frame.lookup(race.s + 0.1, race.frame.curvature)[0] - 2.4 * race.n - 2.0 * race.heading,
                     5 * (0.15 - race.omega),
                 ],
                 dim=1,

@@ -116,12 +116,12 @@ def test_the_same_seed_gives_the_same_weights():
 
 def test_the_learning_rate_follows_the_divergence():
     model = learner(target_kl=0.01)
-    model._follow_divergence(False, 0.05)
+    model._follow_divergence(True, 0.05)
     lowered = model.rate_factor
-    model._follow_divergence(True, 0.001)
+    model._follow_divergence(False, 0.001)
     assert lowered < 1.0 and model.rate_factor > lowered
     kept = model.rate_factor
-    model._follow_divergence(True, 0.015)
+    model._follow_divergence(False, 0.015)
     assert model.rate_factor == kept
 
 
@@ -136,9 +136,9 @@ def test_an_actor_that_went_too_far_rests_while_the_critic_learns():
             for pair in zip(after, before, strict=True)
         ]
 
-    # the first minibatch never diverges; whatever little it changed is too far for the second
-    (strict_actor, strict_critic), (free_actor, free_critic) = changes(1e-12), changes(1.0)
-    assert 0 < strict_actor < 0.3 * free_actor and strict_critic > 0.5 * free_critic
+    # the first minibatch never diverges (beyond rounding); whatever little it changed is too far for the second
+    (strict_actor, strict_critic), (free_actor, free_critic) = changes(1e-6), changes(1.0)
+    assert 0 < strict_actor < 0.2 * free_actor and strict_critic > 0.5 * free_critic
 
 
 def test_the_noise_falls_to_where_the_budget_wants_it():

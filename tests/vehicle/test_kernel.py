@@ -147,3 +147,15 @@ def test_a_wrong_kernel_is_refused(car, monkeypatch, caplog):
 
 def test_other_devices_and_precisions_run_on_torch(car):
     assert choose_motion(car, [], 0.01, 5, CPU, torch.float64).name == "torch"
+
+
+@pytest.mark.gpu
+def test_the_kernel_on_a_gpu_is_the_one_on_the_cpu(any_car):
+    names = [name for name in NAMES if name in values(any_car)]
+    step = 0.001 if hasattr(any_car.drive, "current_limit") else 0.01
+    motions = [choose_motion(any_car, names, step, 5, torch.device(kind), torch.float32) for kind in ("cpu", "cuda")]
+    assert [motion.name for motion in motions] == ["compiled", "compiled"]
+    state, command = random_states(any_car, 1000, seed=5)
+    inputs = [tensor.float() for tensor in (state, 0.5 * command, tables(any_car, names, 1000))]
+    on_cpu, on_gpu = motions[0](*inputs), motions[1](*(tensor.cuda() for tensor in inputs)).cpu()
+    assert ((on_gpu - on_cpu).abs() / (1.0 + on_cpu.abs())).max() < 1e-4

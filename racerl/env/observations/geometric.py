@@ -50,6 +50,6 @@ class Geometric:
         ahead = view.s[:, None] + view.constant([self.spacing * (i + 1) for i in range(self.points)])
         car = [view.v_x, view.v_y, view.heading, view.offset, view.yaw_rate, *actuator_terms(view)]
         maxima = [SPEED_MAX, SPEED_MAX, HEADING_MAX, self.width_max, YAW_RATE_MAX, *actuator_maxima(view)]
-        curvature = frame.lookup(frame.curvature, ahead) / self.curvature_max
-        width = frame.lookup(frame.half_width, ahead) / self.width_max
-        return torch.cat([torch.stack(car, dim=1) / view.constant(maxima), curvature, width], dim=1)
+        curvature, width = frame.lookup(ahead, frame.curvature, frame.half_width)
+        preview = [curvature / self.curvature_max, width / self.width_max]
+        return torch.cat([torch.stack(car, dim=1) / view.constant(maxima), *preview], dim=1)
