@@ -1,6 +1,7 @@
 """When an episode ends for good.
 
-`OffTrack`   the centre of gravity leaves the track: training.
+`OffTrack`   the centre of gravity leaves the track, or the car spins (|u| > π/2): training. The paper names the first
+             only; but a policy can gain a little by turning backwards in the hairpin, where evaluation sees a crash.
 `Crash`      more than 0.2 m off track, a spin (|u| > π/2) or a stop: evaluation, which lets a car return by itself.
 """
 
@@ -26,11 +27,11 @@ class Termination(Protocol):
 
 
 class OffTrack:
-    """Ends where |n| > W."""
+    """Ends where |n| > W, or where the car spins."""
 
     def __call__(self, race: "Race") -> Tensor:
-        """Return the cars beyond a boundary."""
-        return race.margin < 0
+        """Return the cars beyond a boundary or turned around."""
+        return (race.margin < 0) | _spun(race)
 
 
 class Crash:
@@ -38,5 +39,8 @@ class Crash:
 
     def __call__(self, race: "Race") -> Tensor:
         """Return the cars far off, spun or standing."""
-        spun = race.heading.abs() > HALF_TURN
-        return (race.margin < -CRASH_DISTANCE) | spun | (race.still_time > STOP_TIME)
+        return (race.margin < -CRASH_DISTANCE) | _spun(race) | (race.still_time > STOP_TIME)
+
+
+def _spun(race: "Race") -> Tensor:
+    return race.heading.abs() > HALF_TURN
