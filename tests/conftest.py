@@ -8,6 +8,7 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 from pathlib import Path
 from typing import Any
 
+import hypothesis
 import pytest
 import torch
 
@@ -17,6 +18,9 @@ from racerl.evaluate.evaluate import evaluate
 from racerl.train.train import train
 
 CONF = conf_folder()
+
+hypothesis.settings.register_profile("racerl", deadline=None)  # how long an example takes is the machine's affair
+hypothesis.settings.load_profile("racerl")
 
 
 @pytest.fixture(autouse=True)

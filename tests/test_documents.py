@@ -79,7 +79,7 @@ def test_a_link_does_not_escape(tmp_path):
         inside(tmp_path / "folder", "link/passwd")
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(st.binary(max_size=200))
 def test_random_bytes_are_read_or_refused(tmp_path_factory, content):
     path = tmp_path_factory.mktemp("fuzz") / "a"

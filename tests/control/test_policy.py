@@ -90,7 +90,7 @@ def test_a_pickle_is_not_run(folder):
     assert not (folder / "exploded").exists()
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.binary(max_size=300))
 def test_random_weights_only_raise_policy_errors(tmp_path_factory, content):
     folder = tmp_path_factory.mktemp("fuzz")

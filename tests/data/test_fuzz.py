@@ -28,9 +28,7 @@ TABLES = (".csv", ".csv.gz", ".parquet")
 
 
 def fuzz(cases: int) -> settings:
-    return settings(
-        max_examples=cases, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True, database=None
-    )
+    return settings(max_examples=cases, suppress_health_check=list(HealthCheck), derandomize=True, database=None)
 
 
 @pytest.fixture(scope="module")

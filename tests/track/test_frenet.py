@@ -28,7 +28,7 @@ def nearest_distance(x, y):
     return torch.hypot(x[:, None] - px, y[:, None] - py).min(dim=1).values
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(share, st.floats(-0.45, 0.45), st.floats(-0.35, 0.35))
 def test_projection_inverts_position(place, n, moved):
     s = column(place * TRACK.length)
@@ -42,7 +42,7 @@ def test_projection_inverts_position(place, n, moved):
     assert abs(float(foot.yaw - yaw)) < 3e-3
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(st.floats(-2.0, 2.0), st.floats(-0.55, -0.40), st.floats(-0.35, 0.35))
 def test_the_hairpin_projects_to_the_nearest_point(away, n, moved):
     """Where 1 − κn vanishes, s is ambiguous but the distance is not."""
@@ -108,7 +108,7 @@ def test_a_crossing_track_keeps_its_branch():
         assert float(frame.difference(foot.s, s[i])) == pytest.approx(0.0, abs=1e-3)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(share, share)
 def test_differences_are_short_and_signed(a, b):
     s, t = column(a * TRACK.length), column(b * TRACK.length)
@@ -117,7 +117,7 @@ def test_differences_are_short_and_signed(a, b):
     assert float(FRAME.difference(FRAME.wrap(t + difference), s)) == pytest.approx(0.0, abs=1e-9)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.floats(-100, 100))
 def test_wrap_and_lookup_are_periodic(s):
     wrapped = FRAME.wrap(column(s))

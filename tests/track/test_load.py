@@ -142,7 +142,7 @@ def test_a_relative_file_is_looked_for_here_first(tmp_path, monkeypatch):
     assert load_track({"file": "mine.csv"}, tmp_path / "elsewhere").name == "mine"
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(st.binary(max_size=400))
 def test_random_bytes_only_raise_typed_errors(tmp_path_factory, content):
     folder = tmp_path_factory.mktemp("fuzz")
