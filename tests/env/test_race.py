@@ -86,6 +86,15 @@ def test_a_crash_needs_more_than_leaving_the_track():
     assert bool(race.step(torch.zeros(1, 2)).terminated)
 
 
+def test_a_spin_ends_an_episode_of_training():
+    race = make(cars=1)
+    place(race, s=1.0, heading=-math.pi / 2 - 0.1, speed=0.5)
+    step = race.step(torch.zeros(1, 2))
+    assert bool(step.terminated) and float(step.reward) == -1.0 and float(step.margin) > 0
+    place(race, s=1.0, heading=math.pi / 2 - 0.1, speed=0.5)
+    assert not bool(race.step(torch.zeros(1, 2)).terminated)
+
+
 def test_a_spin_and_a_stop_are_crashes():
     race = make(cars=1, termination=Crash())
     place(race, s=1.0, heading=math.pi / 2 + 0.1, speed=0.5)
