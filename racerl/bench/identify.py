@@ -70,8 +70,8 @@ class Identify:
 
         on_progress(0.35, "one pass on torch")
         start = objective.start(objective.unknowns.start)
-        torch_pass, gradient = _timed(lambda: torch_gradient(objective, start))
-        kernel_pass, at = _timed(lambda: objective.linearise(start))
+        torch_pass, gradient = _median(lambda: torch_gradient(objective, start))
+        kernel_pass, at = _median(lambda: objective.linearise(start))
         disagreement = float(np.abs(gradient - at.t.sum(axis=0)).max() / np.abs(gradient).max())
         on_progress(0.45, "AdamW")
         adamw_seconds, passes, adamw = self._adamw(objective, newton)
@@ -154,6 +154,12 @@ def _timed(call: Any, *arguments: Any) -> tuple[float, Any]:
     began = time.perf_counter()
     result = call(*arguments)
     return time.perf_counter() - began, result
+
+
+def _median(call: Any, repeats: int = 5) -> tuple[float, Any]:
+    """Return the median seconds of several calls, and what the last one returned."""
+    timed = [_timed(call) for _ in range(repeats)]
+    return float(np.median([seconds for seconds, _ in timed])), timed[-1][1]
 
 
 def _quiet(iteration: int, cost: float) -> None:
