@@ -70,9 +70,7 @@ class Train:
 
     def _throughput(self, settings: dict[str, Any]) -> dict[str, float]:
         """Return control steps per second of whole updates, rollout and learning."""
-        # nothing may stop early or diverge: the stock PPO does without what keeps large steps in check
-        same = {**settings["budget"], "target_kl": None, "gradient_norm": 0.5}
-        budget = construct(Budget, same, "budget")
+        budget = construct(Budget, {**settings["budget"], "target_kl": None}, "budget")
         races = [build_race(settings, cars=budget.cars, seeds=[0]) for _ in range(2)]
         learners = [RacePPO(races[0], budget, seed=0), stock_ppo(races[1], budget, seed=0)]
         spent, steps = [0.0, 0.0], budget.cars * budget.rollout

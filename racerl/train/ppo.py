@@ -74,7 +74,7 @@ def hyperparameters(budget: Budget) -> dict[str, Any]:
     first, last = budget.learning_rate, budget.final_learning_rate
     return {
         "policy": "MlpPolicy",
-        "learning_rate": lambda remaining: last + (first - last) * remaining,
+        "learning_rate": lambda remaining: last + (first - last) * max(remaining, 0.0),  # the last rollout may end late
         "n_steps": budget.rollout,
         "n_epochs": budget.epochs,
         "gamma": budget.gamma,
@@ -173,7 +173,7 @@ class RacePPO(PPO):
         """Put the action noise where the schedule wants it."""
         last = self.budget.final_std
         if last is not None:
-            remaining = max(self._current_progress_remaining, 0.0)  # the last rollout may end late
+            remaining = max(self._current_progress_remaining, 0.0)
             noise = remaining * math.log(self.budget.initial_std) + (1.0 - remaining) * math.log(last)
             with torch.no_grad():
                 self.policy.log_std.fill_(noise)
