@@ -3,20 +3,23 @@
 All keep off the boundaries and leave some of the action's range for feedback; the top one assumes a little less grip.
 """
 
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 
 from racerl.env.actions import Action
-from racerl.optimum.collocation import V_X, Collocation, Solution
+from racerl.optimum.collocation import V_X, Collocation, Guess, Solution
 from racerl.optimum.corridor import Corridor
 from racerl.optimum.optimum import best_start
 from racerl.track.track import Track
 from racerl.vehicle.vehicle import Vehicle
 
 INTERVAL = 0.33  # of the narrowest half-width
-PACES = (0.95, 0.8, 0.6, 0.4)  # of the top rung's greatest v_x
-ALIKE = 0.7  # above this pace a lap is looked for near the one above it
+# paces of the lower rungs, of the top one's greatest v_x: looked for near the one above, or along the line
+NEAR, FAR = (0.95, 0.8), (0.6, 0.4)
 
 
 @dataclass(frozen=True)
@@ -37,11 +40,18 @@ def find_ladder(vehicle: Vehicle, track: Track, action: Action, corridor: Corrid
     """Return laps of rising pace; raise OptimumError when one is not found."""
     top = best_start(_problem(vehicle, track, action, corridor, TOP, np.inf))
     greatest = float(top.states[V_X].max())
-    rungs = [top]
-    for pace in PACES:
-        problem = _problem(vehicle, track, action, corridor, BELOW, pace * greatest)
-        rungs.append(problem.solve(rungs[-1].guess if pace > ALIKE else problem.guess(0.0)))
-    return rungs[::-1]
+
+    def below(paces: Sequence[float], guess: Guess | None) -> list[Solution]:
+        laps: list[Solution] = []
+        for pace in paces:
+            problem = _problem(vehicle, track, action, corridor, BELOW, pace * greatest)
+            laps.append(problem.solve(problem.guess(0.0) if guess is None else guess))
+            guess = None if guess is None else laps[-1].guess
+        return laps
+
+    with ThreadPoolExecutor(torch.get_num_threads()) as pool:  # the solver lets other threads work meanwhile
+        near, far = pool.submit(below, NEAR, top.guess), pool.submit(below, FAR, None)
+        return [top, *near.result(), *far.result()][::-1]
 
 
 def _problem(

@@ -8,6 +8,7 @@ line or turned into the turns, and the best lap found is refined until its time 
 import io
 import time
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -59,7 +60,15 @@ class Optimum:
 def find_optimum(
     vehicle: Vehicle, track: Track, action: Action, on_share: Callable[[float], None] = lambda share: None
 ) -> Optimum:
-    """Return the time-optimal lap; raise OptimumError when none is found or the mesh does not settle."""
+    """Return the time-optimal lap; raise OptimumError when none is found or the mesh does not settle.
+
+    Commands that act late cost a periodic lap nothing: they are given earlier.
+    """
+    if local := [name for name, effect in vehicle.effects.items() if not effect.uniform]:
+        raise OptimumError(
+            f"{', '.join(local)}: an optimum is sought on a track that is the same everywhere and at all times; "
+            f"leave it out with ~vehicle.effects.{local[0]}"
+        )
     corridor = Corridor(track)
     narrowest = float((track.width_left + track.width_right).min() / 2)
     intervals = max(LEAST_INTERVALS, round(corridor.length / (COARSEST * narrowest)))
@@ -78,14 +87,18 @@ def find_optimum(
 
 def best_start(problem: Collocation) -> Solution:
     """Return the best lap that the first guesses lead to; raise OptimumError when none leads to any."""
-    found, complaint = [], OptimumError("")
-    for sliding in SLIDING:
+
+    def solve(sliding: float) -> Solution | OptimumError:
         try:
-            found.append(problem.solve(problem.guess(sliding)))
+            return problem.solve(problem.guess(sliding))
         except OptimumError as error:
-            complaint = error
+            return error
+
+    with ThreadPoolExecutor(torch.get_num_threads()) as pool:  # the solver lets other threads work meanwhile
+        outcomes = list(pool.map(solve, SLIDING))
+    found = [outcome for outcome in outcomes if isinstance(outcome, Solution)]
     if not found:
-        raise complaint
+        raise next(outcome for outcome in outcomes[::-1] if isinstance(outcome, OptimumError))
     return min(found, key=lambda solution: solution.time)
 
 
