@@ -38,6 +38,13 @@ def _complete(incomplete: str) -> list[str]:
     return [f"{plus}{group}={name}" for name in choices if f"{group}={name}".startswith(word)]
 
 
+def _complete_effect(incomplete: str) -> list[str]:
+    """Complete the name of an effect."""
+    folder = Path(__file__).parent / "vehicle" / "effects"
+    names = sorted(path.stem for path in folder.glob("*.py") if not path.stem.startswith("_"))
+    return [name for name in names if name.startswith(incomplete)]
+
+
 Overrides = Annotated[
     list[str] | None,
     typer.Argument(metavar="[GROUP=CHOICE | KEY=VALUE]...", autocompletion=_complete, show_default=False),
@@ -132,6 +139,28 @@ def data(arguments: Logs = None) -> None:
     Channels, rates, noise, coverage, and a warning for every trap seen; writes data.json and report.html.
     """
     _run("data", arguments, _data, positional="logs")
+
+
+@app.command()
+def effects(
+    name: Annotated[str | None, typer.Argument(metavar="[NAME]", autocompletion=_complete_effect)] = None,
+) -> None:
+    """List the physical effects that can be added to a car, or explain one: racerl effects tyre_relaxation"""
+    from racerl.vehicle import catalogue
+
+    console = _console()
+    if name is None:
+        for known in catalogue.names():
+            console.print(f"{known:<28}{catalogue.entry(known).title}", highlight=False, soft_wrap=True, markup=False)
+        return
+    entry = catalogue.entry(name)
+    lines = [entry.title, *(f"{aspect}: {text}" for aspect, text in entry.aspects.items())]
+    for parameter, known_of in entry.parameters.items():
+        bounds = f"{known_of.low:g} … {known_of.high:g} {known_of.unit}".rstrip()
+        lines.append(f"Parameter {parameter}: {known_of.meaning}, {bounds}")
+    lines.append(f"Add it with +vehicle/effect={name}, change it with vehicle.effects.{name}.{parameter}=…")
+    for line in lines:
+        console.print(line, highlight=False, soft_wrap=True, markup=False)
 
 
 @app.command(context_settings=HYDRA)

@@ -22,7 +22,10 @@ from racerl.env.termination import STOP_SPEED, OffTrack, Termination
 from racerl.errors import ConfigError
 from racerl.track.frenet import Foot, FrenetFrame, wrap_angle
 from racerl.track.track import Track
+from racerl.vehicle.delay import delayed, periods
 from racerl.vehicle.kernel import choose_motion
+from racerl.vehicle.ops import TORCH
+from racerl.vehicle.parameter import replace_values
 from racerl.vehicle.vehicle import STATE, Vehicle
 
 log = logging.getLogger(__name__)
@@ -34,6 +37,7 @@ KEPT = (
     "state",
     "command",
     "command_rate",
+    "history",
     "s",
     "n",
     "heading",
@@ -139,8 +143,15 @@ class Race(Rows):
         self.dice = Dice(self.seeds, self.count, self.device, self.dtype)
         self.frame = FrenetFrame(self.track, self.device, self.dtype)
         self.draws = ParameterDraws(self.vehicle, self.randomization, self.count, self.device, self.dtype)
+        late = periods(self.vehicle, self.timing.dt)
+        # commands that act late change within a control step: then the steps are taken one by one
         self.motion = choose_motion(
-            self.vehicle, self.draws.names, self.timing.step, self.timing.substeps, self.device, self.dtype
+            self.vehicle,
+            self.draws.names,
+            self.timing.step,
+            1 if late else self.timing.substeps,
+            self.device,
+            self.dtype,
         )
         self.faults = 0
         self._nobody = torch.zeros(self.count, device=self.device, dtype=torch.bool)
@@ -148,6 +159,8 @@ class Race(Rows):
         zeros = torch.zeros(self.count, device=self.device, dtype=self.dtype)
         self.state = torch.zeros(len(self.vehicle.states), self.count, device=self.device, dtype=self.dtype)
         self.command = torch.zeros(2, self.count, device=self.device, dtype=self.dtype)
+        # the latest commands, newest first, as far as any acts late
+        self.history = torch.zeros(late + 1 if late else 0, 2, self.count, device=self.device, dtype=self.dtype)
         self.command_rate, self.s, self.n, self.heading = zeros, zeros, zeros, zeros
         self.margin, self.offset, self.still_time = zeros, zeros, zeros
         self.travelled = zeros.double()  # m along the centreline, unwrapped since the episode's start
@@ -204,10 +217,23 @@ class Race(Rows):
         clamped = torch.nan_to_num(action.to(self.dtype)).clamp(-1.0, 1.0)
         self.command = self.action.command(clamped, last, self.timing.dt)
         self.command_rate = (self.command[1] - last[1]) / self.timing.dt
+        self.history = torch.cat([self.command[None], self.history])[: len(self.history)]
+
+    def _drive(self) -> Tensor:
+        """Return the states after one control period."""
+        if not len(self.history):
+            return self.motion(self.state, self.command, self.draws.values)
+        drawn = dict(zip(self.draws.names, self.draws.values.unbind(0), strict=True))
+        delays = replace_values(self.vehicle, drawn).delays()
+        state, step = self.state, self.timing.step
+        for number in range(self.timing.substeps):
+            command = delayed(self.history, delays, number * step, step, self.timing.dt, TORCH)
+            state = self.motion(state, command, self.draws.values)
+        return state
 
     def _move(self) -> tuple[Tensor, Tensor]:
         """Integrate and project; return the progress in m and the cars whose state is no longer finite."""
-        moved, faulty = self.motion(self.state, self.command, self.draws.values), self._nobody
+        moved, faulty = self._drive(), self._nobody
         if not bool(torch.isfinite(moved.sum())):
             faulty = ~torch.isfinite(moved).all(dim=0)
             self._report(faulty)
@@ -253,6 +279,7 @@ class Race(Rows):
         self.state = self.state.index_copy(1, cars, state)
         self.command = self.command.index_copy(1, cars, command)
         self.command_rate = self.command_rate.index_fill(0, cars, 0.0)
+        self.history = self.history.index_copy(2, cars, command.expand(len(self.history), -1, -1))
         self.still_time = self.still_time.index_fill(0, cars, 0.0)
         self.age = self.age.index_fill(0, cars, 0)
         self.s, self.n = self.s.index_copy(0, cars, foot.s), self.n.index_copy(0, cars, foot.n)

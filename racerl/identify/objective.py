@@ -108,9 +108,8 @@ class Objective:
 
     def residuals(self, point: Point) -> Array:
         """Return the unweighted residuals x − y of the observed channels, (T + 1, C, W)."""
-        observed = [self.rollout.vehicle.states.index(name) for name in self.rollout.observed]
         windows = replace(self.windows, initial=point.initial)
-        return self.rollout.simulate(point.theta, windows, self.threads)[:, observed] - windows.measured
+        return self.rollout.predict(point.theta, windows, self.threads) - windows.measured
 
 
 def independent_residuals(residuals: Array) -> float:

@@ -51,9 +51,8 @@ def horizons_within(length: int) -> list[int]:
 
 def rollout_errors(rollout: Rollout, theta: Array, cut: Cut, threads: int) -> Array:
     """Return simulated minus measured channels (T + 1, C, W), from the measured initial states."""
-    observed = [rollout.vehicle.states.index(name) for name in rollout.observed]
     with np.errstate(all="ignore"):
-        return rollout.simulate(theta, cut.windows, threads)[:, observed] - cut.windows.measured
+        return rollout.predict(theta, cut.windows, threads) - cut.windows.measured
 
 
 def held_errors(cut: Cut) -> Array:

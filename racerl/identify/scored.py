@@ -77,9 +77,8 @@ class Scored:
                 index.append(int(i))
                 reached = self.cut.start[i] + len(errors) - 1
         part = self.cut.take(np.array(index))
-        rows = [self.rollout.vehicle.states.index(name) for name in self.rollout.observed]
         simulated = {
-            label: self.rollout.simulate(values_, part.windows, self.threads)[:, rows]
+            label: self.rollout.predict(values_, part.windows, self.threads)
             for label, values_ in (("unfitted", start), ("fitted", theta))
         }
         time_ = (part.start + np.arange(len(errors))[:, None]) * part.windows.dt  # (T + 1, W)

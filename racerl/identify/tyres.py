@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from racerl.vehicle.ops import TORCH
 from racerl.vehicle.parameter import replace_values
-from racerl.vehicle.vehicle import Motion, Vehicle
+from racerl.vehicle.vehicle import STATE, Vehicle
 
 Array = NDArray[np.float64]
 SLIP = np.linspace(-0.6, 0.6, 121)  # slip ratio, or tangent of the slip angle
@@ -43,7 +43,7 @@ def tyre_curves(vehicle: Vehicle, names: Sequence[str], theta: Array, draws: Arr
 
 def _forces(vehicle: Vehicle) -> dict[tuple[str, str], Array]:
     slip = torch.as_tensor(SLIP)
-    still = Motion(0.0 * slip, 0.0 * slip, 0.0 * slip, 0.0 * slip, 0.0 * slip, {})
+    still = vehicle.motion([0.0 * slip] * len(STATE))
     curves = {}
     for axle, load in zip(("front", "rear"), vehicle.loads(still, TORCH), strict=True):
         tyre = getattr(vehicle, axle)
@@ -56,7 +56,7 @@ def _forces(vehicle: Vehicle) -> dict[tuple[str, str], Array]:
 def slips_covered(vehicle: Vehicle, states: Array) -> dict[str, list[float]]:
     """Return the range, 1 % to 99 %, of each slip ratio and tan α that measured states (8, K) reached."""
     rows = torch.as_tensor(states)
-    slips = vehicle.slips(Motion(rows[3], rows[4], rows[5], rows[6], rows[7], {}), TORCH)
+    slips = vehicle.slips(vehicle.motion(rows.unbind(0)), TORCH)
     return {
         name: [float(bound) for bound in np.percentile(values.numpy(), [1, 99])]
         for name, values in slips._asdict().items()

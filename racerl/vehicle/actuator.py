@@ -2,6 +2,7 @@
 
 `FirstOrder`    ẋ = (x_ref − x)/T, the paper's steering and wheel-speed control.
 `Instant`       x = x_ref, the paper's ablation without an actuator model.
+`Given`         x as it was measured: what a log says drives the car, whatever was commanded.
 `MotorCurrent`  the drive of a human driver: current → torque → wheel force. With ω the wheel surface speed,
                 m_rot ω̇ = k·i·η/R·I − ΣF_x, where m_rot = J/R² is the inertia of motor, gear and wheels at the tyre.
 
@@ -51,6 +52,11 @@ class Instant:
     def rate(self, state: Scalar, reference: Scalar, traction: Scalar, ops: Ops) -> Scalar:
         """Return 0: the state carries nothing."""
         return 0.0 * state
+
+
+@dataclass(frozen=True)
+class Given(Instant):
+    """The actuator's measured state in place of its command; effects on commands do not touch it."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -111,3 +111,15 @@ class CasadiOps:
 
 
 TORCH = TorchOps()
+
+
+def soft_clip(x: Scalar, limit: Scalar, ops: Ops) -> Scalar:
+    """Return x/(1 + (x/limit)⁸)^⅛: x well inside ± limit, ± limit well outside, smooth everywhere."""
+    squared = (x / limit) * (x / limit)
+    to_the_fourth = squared * squared
+    return x / ops.sqrt(ops.sqrt(ops.sqrt(1.0 + to_the_fourth * to_the_fourth)))
+
+
+def soft_abs(x: Scalar, width: Scalar, ops: Ops) -> Scalar:
+    """Return √(x² + width²) − width: |x| less the width well outside it, smooth at 0."""
+    return ops.sqrt(x * x + width * width) - width

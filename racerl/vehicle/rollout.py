@@ -29,10 +29,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from racerl.vehicle.actuator import Instant
+from racerl.vehicle.actuator import Given
 from racerl.vehicle.codegen import build, precision, statements
 from racerl.vehicle.integrate import rk4
-from racerl.vehicle.ops import TORCH, CasadiOps
+from racerl.vehicle.ops import TORCH, CasadiOps, Ops
 from racerl.vehicle.parameter import replace_values, values
 from racerl.vehicle.vehicle import STATE, Vehicle
 
@@ -48,11 +48,11 @@ TEMPLATE = """
 #define S {states}
 #define A {active}
 #define P {parameters}
-#define D (P + A)
+#define F {free}
+#define D (F + A)
 #define C {observed}
+#define U {inputs}
 typedef real lane[LANES];
-static const int ACTIVE[A] = {{{active_rows}}};
-static const int OBSERVED[C] = {{{observed_rows}}};
 
 static inline void derivative(const lane *restrict x, const lane *restrict u, const lane *restrict p,
                               lane *restrict k) {{
@@ -67,6 +67,28 @@ static inline void linearise(const lane *restrict x, const lane *restrict u, con
     #pragma omp simd
     for (int l = 0; l < LANES; l++) {{
 {linearised}
+    }}
+}}
+
+static inline void sight(const lane *restrict x, const lane *restrict p, lane *restrict y, lane *restrict a,
+                         lane *restrict b) {{
+    #pragma omp simd
+    for (int l = 0; l < LANES; l++) {{
+{sight}
+    }}
+}}
+
+/* Z = (dh/dx) X + [dh/dp, 0] */
+static inline void look(const lane *restrict a, const lane *restrict b, lane (*restrict X)[D], lane (*restrict K)[D]) {{
+    for (int d = 0; d < D; d++) {{
+        #pragma omp simd
+        for (int l = 0; l < LANES; l++) {{
+{seen}
+        }}
+    }}
+    #pragma omp simd
+    for (int l = 0; l < LANES; l++) {{
+{seen_direct}
     }}
 }}
 
@@ -101,7 +123,7 @@ static void gather(lane *restrict sum, const lane *restrict k, real h, int rows)
 void simulate(const real *x_0, const real *inputs, const real *parameters, real *out, long n, long intervals,
               long steps, real h) {{
     for (long first = 0; first < n; first += LANES) {{
-        lane x[S], y[S], sum[S], k[S], u[2], p[P + 1];
+        lane x[S], y[S], sum[S], k[S], u[U], p[P + 1];
         long window[LANES];
         for (int l = 0; l < LANES; l++) window[l] = first + l < n ? first + l : n - 1;
         LOAD(x, x_0, S);
@@ -110,7 +132,7 @@ void simulate(const real *x_0, const real *inputs, const real *parameters, real 
             for (int l = 0; l < LANES && first + l < n; l++)
                 for (int i = 0; i < S; i++) out[(t * S + i) * n + first + l] = x[i][l];
             if (t == intervals) break;
-            LOAD(u, inputs + t * 2 * n, 2);
+            LOAD(u, inputs + t * U * n, U);
             for (long step = 0; step < steps; step++) {{
                 memcpy(sum, x, sizeof x);
                 derivative(x, u, p, k); gather(sum, k, h / 6, S); along(x, k, h / 2, y, S);
@@ -125,40 +147,41 @@ void simulate(const real *x_0, const real *inputs, const real *parameters, real 
 
 void accumulate(const real *x_0, const real *inputs, const real *parameters, const real *measured, const real *weight,
                 real *H_out, real *g_out, real *squares, long n, long intervals, long steps, real h) {{
-    static _Thread_local lane X[A][D], Y[A][D], SUM[A][D], K[A][D], H[D][D], g[D];
+    static _Thread_local lane X[A][D], Y[A][D], SUM[A][D], K[A][D], Z[C][D], H[D][D], g[D];
     for (long first = 0; first < n; first += LANES) {{
-        lane x[S], y[S], sum[S], k[S], u[2], p[P + 1], a[{jacobian} + 1], b[{gradient} + 1];
-        lane w[C], m[C], e[C], q[C];
+        lane x[S], y[S], sum[S], k[S], u[U], p[P + 1], a[{jacobian} + 1], b[{gradient} + 1];
+        lane v[C], c_x[{sight_jacobian} + 1], c_p[{sight_gradient} + 1], w[C], m[C], e[C], q[C];
         long window[LANES];
         for (int l = 0; l < LANES; l++) window[l] = first + l < n ? first + l : n - 1;
         LOAD(x, x_0, S);
         LOAD(w, weight, C);
         LOAD(p, parameters, P);
         memset(X, 0, sizeof X); memset(H, 0, sizeof H); memset(g, 0, sizeof g); memset(q, 0, sizeof q);
-        for (int i = 0; i < A; i++) for (int l = 0; l < LANES; l++) X[i][P + i][l] = 1;
+        for (int i = 0; i < A; i++) for (int l = 0; l < LANES; l++) X[i][F + i][l] = 1;
         for (long t = 0; t <= intervals; t++) {{
             LOAD(m, measured + t * C * n, C);
+            sight(x, p, v, c_x, c_p); look(c_x, c_p, X, Z);
             for (int c = 0; c < C; c++)
                 for (int l = 0; l < LANES; l++) {{
-                    e[c][l] = w[c][l] * (x[ACTIVE[OBSERVED[c]]][l] - m[c][l]);
+                    e[c][l] = w[c][l] * (v[c][l] - m[c][l]);
                     q[c][l] += e[c][l] * e[c][l];
                 }}
             for (int i = 0; i < D; i++) {{
                 lane J[C];
                 for (int c = 0; c < C; c++)
                     for (int l = 0; l < LANES; l++) {{
-                        J[c][l] = w[c][l] * w[c][l] * X[OBSERVED[c]][i][l];
-                        g[i][l] += w[c][l] * X[OBSERVED[c]][i][l] * e[c][l];
+                        J[c][l] = w[c][l] * w[c][l] * Z[c][i][l];
+                        g[i][l] += w[c][l] * Z[c][i][l] * e[c][l];
                     }}
                 for (int j = 0; j <= i; j++)
                     for (int l = 0; l < LANES; l++) {{
                         real total = H[i][j][l];
-                        for (int c = 0; c < C; c++) total += J[c][l] * X[OBSERVED[c]][j][l];
+                        for (int c = 0; c < C; c++) total += J[c][l] * Z[c][j][l];
                         H[i][j][l] = total;
                     }}
             }}
             if (t == intervals) break;
-            LOAD(u, inputs + t * 2 * n, 2);
+            LOAD(u, inputs + t * U * n, U);
             for (long step = 0; step < steps; step++) {{
                 memcpy(sum, x, sizeof x); memcpy(SUM, X, sizeof X);
                 linearise(x, u, p, k, a, b); spread(a, b, X, K);
@@ -192,8 +215,8 @@ void accumulate(const real *x_0, const real *inputs, const real *parameters, con
 class Windows:
     """Measured stretches of driving, all of T intervals of dt seconds.
 
-    `initial` (S, W): full state at the start. `inputs` (T, 2, W): what drives the car, held over each interval.
-    `measured` (T + 1, C, W): the observed states. `weight` (C, W): of their residuals; 0 leaves a channel out.
+    `initial` (S, W): full state at the start. `inputs` (T, U, W): what drives the car, held over each interval.
+    `measured` (T + 1, C, W): the observed channels. `weight` (C, W): of their residuals; 0 leaves a channel out.
     """
 
     initial: Array
@@ -228,22 +251,65 @@ def drive_by(vehicle: Vehicle, *, measured_steering: bool, measured_speed: bool)
     """Return the car whose steering angle or wheel speed is given, not simulated."""
     changes: dict[str, Any] = {}
     if measured_steering:
-        changes["steering"] = Instant()
+        changes["steering"] = Given()
     if measured_speed:
-        changes["drive"] = Instant()
+        changes["drive"] = Given()
     return dataclasses.replace(vehicle, **changes)
 
 
-class Rollout:
-    """The rollouts of one vehicle structure: `names` are the parameters that vary, `observed` the states compared.
+class Equations:
+    """What is rolled out: a vehicle, `names` of its parameters that vary, and the channels `observed`.
 
-    `active` are the states that the observed ones depend on; only their initial values matter.
+    `active` are the states that the observed ones depend on; no other is simulated. Parameters in `given` come
+    with each call behind those of `names`, without sensitivities, so that one kernel serves cars of other values.
     """
 
-    def __init__(self, vehicle: Vehicle, names: Sequence[str], observed: Sequence[str], step: float = 0.01) -> None:
-        self.vehicle, self.names, self.observed, self.step = vehicle, list(names), list(observed), step
-        self.active = _active(vehicle, self.observed)
-        self._library = build(source(vehicle, self.names, self.observed, self.active))
+    inputs = 2  # rows that drive the car: what its commands are
+
+    def __init__(
+        self, vehicle: Vehicle, names: Sequence[str], observed: Sequence[str], given: Sequence[str] = ()
+    ) -> None:
+        self.vehicle, self.names, self.observed, self.given = vehicle, list(names), list(observed), list(given)
+        self.active = _active(self)
+
+    def car(self, parameters: Sequence[Any]) -> Vehicle:
+        """Return the vehicle with other values of `names` and `given`."""
+        return replace_values(self.vehicle, dict(zip([*self.names, *self.given], parameters, strict=True)))
+
+    def derivative(self, state: Any, inputs: Any, parameters: Sequence[Any], ops: Ops) -> Any:
+        """Return d(state)/dt."""
+        return self.car(parameters).derivative(state, inputs, ops)
+
+    def observe(self, state: Sequence[Any], parameters: Sequence[Any], ops: Ops) -> list[Any]:
+        """Return the observed channels of a state's rows, as sensors show them."""
+        shown = self.car(parameters).measured(dict(zip(self.vehicle.states, state, strict=True)), ops)
+        return [shown[name] for name in self.observed]
+
+    def effective(self) -> list[str]:
+        """Return those of `names` that what is observed depends on."""
+        import casadi
+
+        _, _, p, f, y = _symbols(self)
+        rows = [self.vehicle.states.index(name) for name in self.active]
+        free = p[: len(self.names)]
+        found = casadi.jacobian(casadi.vertcat(f[rows], y), free).sparsity().get_triplet()[1]
+        return [name for i, name in enumerate(self.names) if i in set(found)]
+
+
+class Rollout(Equations):
+    """The rollouts of a vehicle structure and their sensitivities, compiled where a compiler is at hand."""
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        names: Sequence[str],
+        observed: Sequence[str],
+        step: float = 0.01,
+        given: Sequence[str] = (),
+    ) -> None:
+        super().__init__(vehicle, names, observed, given)
+        self.step = step
+        self._library = build(source(self))
         self.compiled = self._library is not None
 
     @property
@@ -252,17 +318,19 @@ class Rollout:
         return len(self.names) + len(self.active)
 
     def nominal(self) -> Array:
-        """Return the vehicle's own values of the varying parameters, (P,)."""
+        """Return the vehicle's own values of `names` and `given`, (P,)."""
         table = values(self.vehicle)
-        return np.array([float(table[name]) for name in self.names])
+        return np.array([float(table[name]) for name in [*self.names, *self.given]])
 
     def simulate(self, parameters: Array, windows: Windows, threads: int = 1) -> Array:
-        """Return the states (T + 1, S, W) of all windows, for parameters (P,) or (P, W)."""
+        """Return the states (T + 1, S, W) of all windows, for parameters (P,) or (P, W); only active rows count."""
         parameters = _per_window(parameters, windows)
         steps, h = self.steps(windows.dt)
         intervals, states = len(windows.inputs), len(self.vehicle.states)
         if self._library is None:
-            return _simulate_torch(self, torch.as_tensor(np.array(parameters)), windows, steps, h).numpy()
+            table = torch.as_tensor(np.array(parameters))
+            initial, inputs = torch.as_tensor(windows.initial), torch.as_tensor(windows.inputs)
+            return _roll_torch(self, table, initial, inputs, steps, h).numpy()
 
         def run(part: Windows, parameters: Array) -> Array:
             out = np.empty((intervals + 1, states, part.count))
@@ -273,6 +341,13 @@ class Rollout:
 
         parts = _in_chunks(run, windows, parameters, threads)
         return np.concatenate(parts, axis=2)
+
+    def predict(self, parameters: Array, windows: Windows, threads: int = 1) -> Array:
+        """Return the observed channels (T + 1, C, W) of all windows, as sensors show them."""
+        states = torch.as_tensor(self.simulate(parameters, windows, threads))
+        table = torch.as_tensor(np.array(_per_window(parameters, windows)))
+        shown = self.observe(states.unbind(1), table.unbind(0), TORCH)
+        return torch.stack(torch.broadcast_tensors(*shown), dim=1).numpy()
 
     def accumulate(self, parameters: Array, windows: Windows, threads: int = 1) -> NormalEquations:
         """Return every window's normal equations at parameters (P,) or (P, W) and the windows' initial states."""
@@ -321,24 +396,33 @@ def _call(library: Any, name: str, arrays: Sequence[Array], count: int, interval
     function(*(array.ctypes.data for array in contiguous), count, intervals, steps, h)
 
 
-def _linearisation(vehicle: Vehicle, names: Sequence[str]) -> tuple[Any, Any, Any, Any, Any, Any]:
-    """Return CasADi's x, u, p, f(x, u, p), ∂f/∂x and ∂f/∂p."""
+def _symbols(rollout: Equations) -> tuple[Any, Any, Any, Any, Any]:
+    """Return CasADi's x, u, p and the derivative and observation of them."""
     import casadi
 
     ops = CasadiOps()
-    x, u, p = casadi.SX.sym("x", len(vehicle.states)), casadi.SX.sym("u", 2), casadi.SX.sym("p", len(names))
-    car = replace_values(vehicle, dict(zip(names, ops.unstack(p) if names else [], strict=True)))
-    f = car.derivative(x, u, ops)
-    return x, u, p, f, casadi.jacobian(f, x), casadi.jacobian(f, p)
+    x, u = casadi.SX.sym("x", len(rollout.vehicle.states)), casadi.SX.sym("u", rollout.inputs)
+    p = casadi.SX.sym("p", len(rollout.names) + len(rollout.given))
+    parameters = ops.unstack(p) if p.numel() else []
+    f = rollout.derivative(x, u, parameters, ops)
+    return x, u, p, f, casadi.vertcat(*rollout.observe(ops.unstack(x), parameters, ops))
+
+
+def _rates(vehicle: Vehicle) -> tuple[Any, Any, Any]:
+    """Return CasADi's x, u and f(x, u) of a vehicle as it is."""
+    import casadi
+
+    x, u = casadi.SX.sym("x", len(vehicle.states)), casadi.SX.sym("u", 2)
+    return x, u, vehicle.derivative(x, u, CasadiOps())
 
 
 def fastest_rate(vehicle: Vehicle, states: Array) -> float:
     """Return the largest |eigenvalue| of ∂f/∂x over given states (S, N), in 1/s; RK4 is stable while h·|λ| < 2.7."""
     import casadi
 
-    x, u, p, _, f_x, _ = _linearisation(vehicle, [])
-    jacobian = casadi.Function("jacobian", [x, u, p], [f_x]).map(states.shape[1])
-    blocks = np.asarray(jacobian(states, states[[STATE.index("delta"), STATE.index("omega")]], []))
+    x, u, f = _rates(vehicle)
+    jacobian = casadi.Function("jacobian", [x, u], [casadi.jacobian(f, x)]).map(states.shape[1])
+    blocks = np.asarray(jacobian(states, states[[STATE.index("delta"), STATE.index("omega")]]))
     square = blocks.reshape(len(states), states.shape[1], len(states)).transpose(1, 0, 2)
     return float(np.abs(np.linalg.eigvals(square)).max())
 
@@ -353,80 +437,102 @@ def settle(vehicle: Vehicle, windows: Windows) -> None:
     if len(vehicle.states) == len(STATE):
         return
     own = slice(len(STATE), len(vehicle.states))
-    x, u, p, f, f_x, _ = _linearisation(vehicle, [])
+    x, u, f = _rates(vehicle)
     count = windows.count
-    rates = casadi.Function("rates", [x, u, p], [f[own], f_x[own, own]]).map(count)
-    f_own, f_xx = (np.asarray(part) for part in rates(windows.initial, windows.inputs[0], []))
+    rates = casadi.Function("rates", [x, u], [f[own], casadi.jacobian(f[own], x[own])]).map(count)
+    f_own, f_xx = (np.asarray(part) for part in rates(windows.initial, windows.inputs[0, :2]))
     blocks = f_xx.reshape(len(f_own), count, len(f_own)).transpose(1, 0, 2)
     solvable = np.abs(np.linalg.det(blocks)) > 1e-9
     step = np.linalg.solve(blocks[solvable], f_own.T[solvable][:, :, None])[:, :, 0]
     windows.initial[own, solvable] -= step.T
 
 
-def _active(vehicle: Vehicle, observed: Sequence[str]) -> list[str]:
-    """Return the observed states and all that they depend on, in the vehicle's order."""
-    *_, jacobian, _ = _linearisation(vehicle, [])
-    rows, columns = jacobian.sparsity().get_triplet()
-    states = vehicle.states
-    wanted = {states.index(name) for name in observed}
-    while True:
-        more = {j for i, j in zip(rows, columns, strict=True) if i in wanted} - wanted
-        if not more:
-            return [name for i, name in enumerate(states) if i in wanted]
+def _active(rollout: Equations) -> list[str]:
+    """Return the states that the observed channels depend on, in the vehicle's order."""
+    import casadi
+
+    x, _, _, f, y = _symbols(rollout)
+    rows, columns = casadi.jacobian(f, x).sparsity().get_triplet()
+    wanted = set(casadi.jacobian(y, x).sparsity().get_triplet()[1])
+    while more := {j for i, j in zip(rows, columns, strict=True) if i in wanted} - wanted:
         wanted |= more
+    return [name for i, name in enumerate(rollout.vehicle.states) if i in wanted]
 
 
-def source(vehicle: Vehicle, names: Sequence[str], observed: Sequence[str], active: Sequence[str]) -> str:
+def source(rollout: Equations) -> str:
     """Return the C source of the rollout and its sensitivities."""
     import casadi
 
-    x, u, p, f, f_x, f_p = _linearisation(vehicle, names)
-    rows = [vehicle.states.index(name) for name in active]
-    f_x, f_p = f_x[rows, rows], f_p[rows, :]
-    a, b = casadi.vertcat(*f_x.nonzeros()), casadi.vertcat(*f_p.nonzeros())
-    outputs = casadi.cse([f, a, b])
+    x, u, p, f, y = _symbols(rollout)
+    states = rollout.vehicle.states
+    rows, free = [states.index(name) for name in rollout.active], len(rollout.names)
+    f = casadi.vertcat(*(f[i] if i in rows else 0.0 for i in range(len(states))))
+    f_x, f_p = casadi.jacobian(f[rows], x[rows]), casadi.jacobian(f[rows], p[:free])
+    y_x, y_p = casadi.jacobian(y, x[rows]), casadi.jacobian(y, p[:free])
     plain = casadi.Function("derivative", [x, u, p], [f])
-    linearised = casadi.Function("linearised", [x, u, p], outputs)
-    products: list[list[str]] = [[] for _ in rows]
-    for index, (i, j) in enumerate(zip(*f_x.sparsity().get_triplet(), strict=True)):
-        products[i].append(f"a[{index}][l] * X[{j}][d][l]")
-    direct = [
-        f"        K[{i}][{j}][l] += b[{index}][l];"
-        for index, (i, j) in enumerate(zip(*f_p.sparsity().get_triplet(), strict=True))
-    ]
+    linear = casadi.cse([f, casadi.vertcat(*f_x.nonzeros()), casadi.vertcat(*f_p.nonzeros())])
+    linearised = casadi.Function("linearised", [x, u, p], linear)
+    seen = [y, casadi.vertcat(*y_x.nonzeros()), casadi.vertcat(*y_p.nonzeros())]
+    sight = casadi.Function("sight", [x, p], seen)
     return TEMPLATE.format(
         precision=precision("double"),
         lanes=LANES,
-        states=len(vehicle.states),
-        active=len(active),
-        parameters=len(names),
-        observed=len(observed),
-        active_rows=", ".join(map(str, rows)),
-        observed_rows=", ".join(str(active.index(name)) for name in observed),
+        states=len(states),
+        active=len(rows),
+        parameters=p.numel(),
+        free=free,
+        inputs=rollout.inputs,
+        observed=len(rollout.observed),
         derivative=statements(plain, ("x", "u", "p"), ("k",)),
         linearised=statements(linearised, ("x", "u", "p"), ("k", "a", "b")),
-        product="\n".join(
-            f"            K[{i}][d][l] = {' + '.join(terms) or '0'};" for i, terms in enumerate(products)
-        ),
-        direct="\n".join(direct),
+        sight=statements(sight, ("x", "p"), ("y", "a", "b")),
+        product=_product("K", f_x),
+        direct=_direct("K", f_p),
+        seen=_product("K", y_x),
+        seen_direct=_direct("K", y_p),
         jacobian=f_x.nnz(),
         gradient=f_p.nnz(),
+        sight_jacobian=y_x.nnz(),
+        sight_gradient=y_p.nnz(),
     )
 
 
-def _simulate_torch(rollout: Rollout, parameters: torch.Tensor, windows: Windows, steps: int, h: float) -> torch.Tensor:
+def _product(target: str, matrix: Any) -> str:
+    """Return C that multiplies a sparse matrix, whose entries are in `a`, with a column of X."""
+    terms: list[list[str]] = [[] for _ in range(matrix.size1())]
+    for index, (i, j) in enumerate(zip(*matrix.sparsity().get_triplet(), strict=True)):
+        terms[i].append(f"a[{index}][l] * X[{j}][d][l]")
+    return "\n".join(f"            {target}[{i}][d][l] = {' + '.join(row) or '0'};" for i, row in enumerate(terms))
+
+
+def _direct(target: str, matrix: Any) -> str:
+    """Return C that adds a sparse matrix, whose entries are in `b`, to the columns of the parameters."""
+    return "\n".join(
+        f"        {target}[{i}][{j}][l] += b[{index}][l];"
+        for index, (i, j) in enumerate(zip(*matrix.sparsity().get_triplet(), strict=True))
+    )
+
+
+def _roll_torch(
+    rollout: Rollout, parameters: torch.Tensor, initial: torch.Tensor, inputs: torch.Tensor, steps: int, h: float
+) -> torch.Tensor:
     """Return the states (T + 1, S, W), differentiable in the parameters."""
-    return roll_out(
-        replace_values(rollout.vehicle, dict(zip(rollout.names, parameters.unbind(0), strict=True))),
-        torch.as_tensor(windows.initial),
-        torch.as_tensor(windows.inputs),
-        steps,
-        h,
-    )
+    return roll_out(_Bound(rollout, parameters.unbind(0)), initial, inputs, steps, h)
 
 
-def roll_out(vehicle: Vehicle, initial: torch.Tensor, inputs: torch.Tensor, steps: int, h: float) -> torch.Tensor:
-    """Return the states (T + 1, S, W) on torch, differentiable in everything; inputs are (T, 2, W)."""
+@dataclass(frozen=True)
+class _Bound:
+    """A rollout's derivative at given parameters, in the place of a vehicle."""
+
+    rollout: Rollout
+    parameters: Sequence[Any]
+
+    def derivative(self, state: Any, inputs: Any, ops: Ops) -> Any:
+        return self.rollout.derivative(state, inputs, self.parameters, ops)
+
+
+def roll_out(vehicle: Any, initial: torch.Tensor, inputs: torch.Tensor, steps: int, h: float) -> torch.Tensor:
+    """Return the states (T + 1, S, W) on torch, differentiable in everything; inputs are (T, U, W)."""
     states = [initial]
     for command in inputs:
         state = states[-1]
@@ -438,20 +544,22 @@ def roll_out(vehicle: Vehicle, initial: torch.Tensor, inputs: torch.Tensor, step
 
 def _accumulate_torch(rollout: Rollout, parameters: Array, windows: Windows, steps: int, h: float) -> NormalEquations:
     """Form the normal equations by forward-mode differentiation, one unknown at a time."""
-    active = [rollout.vehicle.states.index(name) for name in rollout.active]
-    observed = [rollout.vehicle.states.index(name) for name in rollout.observed]
-    theta, initial = torch.as_tensor(np.array(parameters)), torch.as_tensor(windows.initial)
+    active, free = [rollout.vehicle.states.index(name) for name in rollout.active], len(rollout.names)
+    table, initial = torch.as_tensor(np.array(parameters)), torch.as_tensor(windows.initial)
     weight, measured = torch.as_tensor(windows.weight), torch.as_tensor(windows.measured)
     inputs = torch.as_tensor(windows.inputs)
 
     def residual(theta: torch.Tensor, initial: torch.Tensor) -> torch.Tensor:
-        car = replace_values(rollout.vehicle, dict(zip(rollout.names, theta.unbind(0), strict=True)))
-        return weight * (roll_out(car, initial, inputs, steps, h)[:, observed] - measured)
+        everything = torch.cat([theta, table[free:]])
+        states = _roll_torch(rollout, everything, initial, inputs, steps, h)
+        shown = torch.broadcast_tensors(*rollout.observe(states.unbind(1), everything.unbind(0), TORCH))
+        return weight * (torch.stack(shown, dim=1) - measured)
 
+    theta = table[:free]
     unknowns = torch.eye(rollout.size, dtype=theta.dtype)
-    d_theta = unknowns[:, : len(theta), None].expand(-1, -1, windows.count)
+    d_theta = unknowns[:, :free, None].expand(-1, -1, windows.count)
     d_initial = torch.zeros(rollout.size, *initial.shape, dtype=theta.dtype)
-    d_initial[:, active] = unknowns[:, len(theta) :, None]
+    d_initial[:, active] = unknowns[:, free:, None]
 
     def along(d_theta: torch.Tensor, d_initial: torch.Tensor) -> torch.Tensor:
         tangent: torch.Tensor = torch.func.jvp(residual, (theta, initial), (d_theta, d_initial))[1]

@@ -14,11 +14,11 @@ Drag: F_drag = c_0 tanh(v_x/0.1) + c_1 v_x + c_2 v_x|v_x|.
 """
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
-from racerl.vehicle.actuator import Actuator, Instant
+from racerl.vehicle.actuator import Actuator, Given, Instant
 from racerl.vehicle.effects import Effect
 from racerl.vehicle.ops import Ops, Scalar
 from racerl.vehicle.parameter import parameter
@@ -36,14 +36,18 @@ class Tyre(Protocol):
 
 
 class Motion(NamedTuple):
-    """What effects may look at: body velocities, road-wheel angle, wheel speed and the effects' own states."""
+    """What effects may look at: pose, velocities, road-wheel angle, wheel speed, the effects' own states, the car."""
 
+    x: Scalar
+    y: Scalar
+    yaw: Scalar
     v_x: Scalar
     v_y: Scalar
     yaw_rate: Scalar
     delta: Scalar
     omega: Scalar
     own: Mapping[str, Scalar]
+    car: "Vehicle"
 
 
 class Slips(NamedTuple):
@@ -53,6 +57,35 @@ class Slips(NamedTuple):
     alpha_f: Scalar
     kappa_r: Scalar
     alpha_r: Scalar
+
+
+class Forces(NamedTuple):
+    """Tyre forces of both axles in their wheels' frames, and their loads, in N."""
+
+    F_xf: Scalar
+    F_yf: Scalar
+    F_xr: Scalar
+    F_yr: Scalar
+    F_zf: Scalar
+    F_zr: Scalar
+
+
+class Servo(NamedTuple):
+    """An actuator at work: its state, its reference and the rate that it answers with."""
+
+    state: Scalar
+    reference: Scalar
+    rate: Scalar
+
+
+class Course(NamedTuple):
+    """What effects' own states may follow: the motion, steady-state slips, tyre forces and both actuators."""
+
+    motion: Motion
+    steady: Slips
+    forces: Forces
+    steering: Servo
+    drive: Servo
 
 
 class Wrench(NamedTuple):
@@ -87,9 +120,17 @@ class Vehicle:
     effects: Mapping[str, Effect] = field(default_factory=dict)
 
     @property
+    def arm(self) -> Scalar:
+        """Distance of the centre of gravity from the front axle in m, with the effects that move it."""
+        l_f = self.l_f
+        for effect in self.effects.values():
+            l_f = effect.arm(l_f)
+        return l_f
+
+    @property
     def l_r(self) -> Scalar:
         """Distance of the centre of gravity from the rear axle in m."""
-        return self.wheelbase - self.l_f
+        return self.wheelbase - self.arm
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -100,18 +141,39 @@ class Vehicle:
         """Return this car with commands that act at once."""
         return dataclasses.replace(self, steering=Instant(), drive=Instant())
 
+    def delays(self) -> dict[str, Scalar]:
+        """Return by how many seconds each of COMMAND acts late, for those that do."""
+        return _total(effect.delays() for effect in self.effects.values())
+
+    def latencies(self) -> dict[str, Scalar]:
+        """Return by how many seconds each channel of a log is late, for those that are."""
+        return _total(effect.latencies() for effect in self.effects.values())
+
+    def measured(self, channels: Mapping[str, Scalar], ops: Ops) -> dict[str, Scalar]:
+        """Return what sensors show of true channels (rows of STATE by name), without noise and latency."""
+        shown = dict(channels)
+        for effect in self.effects.values():
+            shown |= effect.measure(shown, ops)
+        return shown
+
     def loads(self, motion: Motion, ops: Ops) -> tuple[Scalar, Scalar]:
         """Return the vertical loads (front, rear) in N."""
         weight = self.mass * (GRAVITY / self.wheelbase)
-        F_z = (weight * self.l_r, weight * self.l_f)
+        F_z = (weight * self.l_r, weight * self.arm)
         for effect in self.effects.values():
             F_z = effect.loads(F_z, motion, ops)
         return F_z
 
+    def motion(self, state: Sequence[Scalar]) -> Motion:
+        """Return the motion in states (8, N) whose δ and ω act as they are, with effects at rest."""
+        x, y, yaw, v_x, v_y, yaw_rate, delta, omega = state[: len(STATE)]
+        own = dict.fromkeys(self.states[len(STATE) :], 0.0 * x)
+        return Motion(x, y, yaw, v_x, v_y, yaw_rate, delta, omega, own, self)
+
     def slips(self, motion: Motion, ops: Ops) -> Slips:
         """Return the steady-state slips of both axles."""
         sin_delta, cos_delta = ops.sin(motion.delta), ops.cos(motion.delta)
-        lateral_f = motion.v_y + self.l_f * motion.yaw_rate
+        lateral_f = motion.v_y + self.arm * motion.yaw_rate
         V_xf = motion.v_x * cos_delta + lateral_f * sin_delta
         V_yf = lateral_f * cos_delta - motion.v_x * sin_delta
         V_yr = motion.v_y - self.l_r * motion.yaw_rate
@@ -123,17 +185,29 @@ class Vehicle:
         speed, v_0 = ops.abs(V_x), self.standstill_speed
         return ops.where(speed > v_0, speed, (V_x * V_x + v_0 * v_0) / (2.0 * v_0))
 
-    def tyre_wrench(self, slips: Slips, motion: Motion, ops: Ops) -> tuple[Wrench, Scalar]:
-        """Return what the tyres do to the body, and the traction ΣF_x that loads the drive, in N."""
+    def tyre_forces(self, slips: Slips, motion: Motion, ops: Ops) -> Forces:
+        """Return what the tyres do at given slips."""
+        friction = (self.friction, self.friction)
+        for effect in self.effects.values():
+            friction = effect.grip(friction, motion, ops)
         F_zf, F_zr = self.loads(motion, ops)
-        F_xf, F_yf = self.front.forces(slips.kappa_f, slips.alpha_f, F_zf, self.friction, ops)
-        F_xr, F_yr = self.rear.forces(slips.kappa_r, slips.alpha_r, F_zr, self.friction, ops)
+        F_xf, F_yf = self.front.forces(slips.kappa_f, slips.alpha_f, F_zf, friction[0], ops)
+        F_xr, F_yr = self.rear.forces(slips.kappa_r, slips.alpha_r, F_zr, friction[1], ops)
+        return Forces(F_xf, F_yf, F_xr, F_yr, F_zf, F_zr)
+
+    def wrench(self, forces: Forces, motion: Motion, ops: Ops) -> Wrench:
+        """Return what tyres, drag and effects do to the body."""
+        F_xf, F_yf, F_xr, F_yr, _, _ = forces
         sin_delta, cos_delta = ops.sin(motion.delta), ops.cos(motion.delta)
         lateral_f = F_xf * sin_delta + F_yf * cos_delta
-        body = Wrench(
-            F_xf * cos_delta - F_yf * sin_delta + F_xr, lateral_f + F_yr, self.l_f * lateral_f - self.l_r * F_yr
+        wrench = Wrench(
+            F_xf * cos_delta - F_yf * sin_delta + F_xr - self.drag(motion.v_x, ops),
+            lateral_f + F_yr,
+            self.arm * lateral_f - self.l_r * F_yr,
         )
-        return body, F_xf + F_xr
+        for effect in self.effects.values():
+            wrench = effect.wrench(wrench, forces, motion, ops)
+        return wrench
 
     def drag(self, v_x: Scalar, ops: Ops) -> Scalar:
         """Return the drag in N, of the sign of v_x."""
@@ -142,23 +216,32 @@ class Vehicle:
 
     def derivative(self, state: Any, command: Any, ops: Ops) -> Any:
         """Return d(state)/dt for stacked state (S, N) and command (2, N)."""
-        _, _, yaw, v_x, v_y, yaw_rate, delta, omega, *rest = ops.unstack(state)
+        x, y, yaw, v_x, v_y, yaw_rate, delta, omega, *rest = ops.unstack(state)
         own = dict(zip(self.states[len(STATE) :], rest, strict=True))
         delta_ref, drive_ref = ops.unstack(command)
         for effect in self.effects.values():
-            delta_ref, drive_ref = effect.command(delta_ref, drive_ref, own, ops)
+            commands = effect.command(delta_ref, drive_ref, own, ops)
+            delta_ref = delta_ref if isinstance(self.steering, Given) else commands[0]
+            drive_ref = drive_ref if isinstance(self.drive, Given) else commands[1]
         wheel_angle = self.steering.position(delta, delta_ref)
         for effect in self.effects.values():
             wheel_angle = effect.steer(wheel_angle, own, ops)
-        motion = Motion(v_x, v_y, yaw_rate, wheel_angle, self.drive.position(omega, drive_ref), own)
+        wheel_speed = self.drive.position(omega, drive_ref)
+        motion = Motion(x, y, yaw, v_x, v_y, yaw_rate, wheel_angle, wheel_speed, own, self)
 
         steady = slips = self.slips(motion, ops)
         for effect in self.effects.values():
             slips = effect.slip(slips, motion, ops)
-        wrench, traction = self.tyre_wrench(slips, motion, ops)
-        wrench = wrench._replace(F_x=wrench.F_x - self.drag(v_x, ops))
+        forces = self.tyre_forces(slips, motion, ops)
+        wrench = self.wrench(forces, motion, ops)
+        traction = forces.F_xf + forces.F_xr
+        steering = Servo(delta, delta_ref, self.steering.rate(delta, delta_ref, traction, ops))
+        drive = Servo(omega, drive_ref, self.drive.rate(omega, drive_ref, traction, ops))
+        course = Course(motion, steady, forces, steering, drive)
+        steering_rate, drive_rate = steering.rate, drive.rate
         for effect in self.effects.values():
-            wrench = effect.wrench(wrench, motion, ops)
+            steering_rate = effect.steering_rate(steering_rate, course, ops)
+            drive_rate = effect.drive_rate(drive_rate, course, ops)
 
         sin_yaw, cos_yaw = ops.sin(yaw), ops.cos(yaw)
         return ops.stack(
@@ -169,8 +252,16 @@ class Vehicle:
                 wrench.F_x / self.mass + v_y * yaw_rate,
                 wrench.F_y / self.mass - v_x * yaw_rate,
                 wrench.M_z / self.yaw_inertia,
-                self.steering.rate(delta, delta_ref, traction, ops),
-                self.drive.rate(omega, drive_ref, traction, ops),
-                *(rate for effect in self.effects.values() for rate in effect.rates(steady, motion, ops)),
+                steering_rate,
+                drive_rate,
+                *(rate for effect in self.effects.values() for rate in effect.rates(course, ops)),
             ]
         )
+
+
+def _total(parts: Iterable[Mapping[str, Scalar]]) -> dict[str, Scalar]:
+    total: dict[str, Scalar] = {}
+    for part in parts:
+        for name, value in part.items():
+            total[name] = total[name] + value if name in total else value
+    return total

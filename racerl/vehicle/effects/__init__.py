@@ -1,29 +1,45 @@
 """Physical effects that can be added to the car, one file each, off unless configured.
 
 An effect is a frozen dataclass whose fields are parameters and which overrides only the hooks it needs. Its module
-`aero_drag.py` holds the class `AeroDrag`; its YAML is `conf/vehicle/effect/aero_drag.yaml`.
+`aero_drag.py` holds the class `AeroDrag`; its YAML is `conf/vehicle/effect/aero_drag.yaml`. The module's docstring says
+what the effect is: `Formula`, `Source`, `In data`, `Excited by`, `Confused with`.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from racerl.vehicle.ops import Ops, Scalar
 
 if TYPE_CHECKING:
-    from racerl.vehicle.vehicle import Motion, Slips, Wrench
+    from racerl.vehicle.vehicle import Course, Forces, Motion, Slips, Wrench
+
+Pair = tuple[Scalar, Scalar]
+"""One value for the front axle, one for the rear."""
+
+SMOOTH_SPEED = 0.1  # m/s over which a force changes its sign with the motion
 
 
 @dataclass(frozen=True, kw_only=True)
 class Effect:
-    """The hooks, in the order in which the derivative calls them; each returns its input unless overridden."""
+    """The hooks, in the order in which the car calls them; each returns its input unless overridden."""
 
     states: ClassVar[tuple[str, ...]] = ()
+    symmetric: ClassVar[bool] = True  # a mirrored drive stays possible
+    uniform: ClassVar[bool] = True  # the same everywhere, in every direction and at all times
 
     def key(self, state: str) -> str:
         """Return the name under which this effect finds one of its own states in `own`."""
         name = type(self).__module__.rsplit(".", 1)[-1]
         return f"{name}.{state}"
+
+    def arm(self, l_f: Scalar) -> Scalar:
+        """Change the distance of the centre of gravity from the front axle in m."""
+        return l_f
+
+    def delays(self) -> Mapping[str, Scalar]:
+        """Return by how many seconds `delta_ref` or `drive_ref` act late."""
+        return {}
 
     def command(
         self, delta_ref: Scalar, drive_ref: Scalar, own: Mapping[str, Scalar], ops: Ops
@@ -39,14 +55,34 @@ class Effect:
         """Change the slips that the tyres see."""
         return slips
 
-    def loads(self, F_z: tuple[Scalar, Scalar], motion: "Motion", ops: Ops) -> tuple[Scalar, Scalar]:
-        """Change the vertical loads (front, rear) in N."""
+    def grip(self, friction: Pair, motion: "Motion", ops: Ops) -> Pair:
+        """Change the friction scales of both axles."""
+        return friction
+
+    def loads(self, F_z: Pair, motion: "Motion", ops: Ops) -> Pair:
+        """Change the vertical loads in N."""
         return F_z
 
-    def wrench(self, wrench: "Wrench", motion: "Motion", ops: Ops) -> "Wrench":
+    def wrench(self, wrench: "Wrench", forces: "Forces", motion: "Motion", ops: Ops) -> "Wrench":
         """Change force and moment on the body."""
         return wrench
 
-    def rates(self, steady: "Slips", motion: "Motion", ops: Ops) -> Sequence[Scalar]:
-        """Return the derivatives of this effect's own states, given the steady-state slips."""
+    def steering_rate(self, rate: Scalar, course: "Course", ops: Ops) -> Scalar:
+        """Change δ̇ in rad/s."""
+        return rate
+
+    def drive_rate(self, rate: Scalar, course: "Course", ops: Ops) -> Scalar:
+        """Change ω̇ in m/s²."""
+        return rate
+
+    def rates(self, course: "Course", ops: Ops) -> Sequence[Scalar]:
+        """Return the derivatives of this effect's own states."""
         return ()
+
+    def measure(self, channels: Mapping[str, Scalar], ops: Any) -> Mapping[str, Scalar]:
+        """Return the channels that sensors show otherwise than `channels` (rows of the state by name) says."""
+        return {}
+
+    def latencies(self) -> Mapping[str, Scalar]:
+        """Return by how many seconds channels of a log are late."""
+        return {}

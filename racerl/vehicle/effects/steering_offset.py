@@ -1,11 +1,16 @@
-"""Steering offset: the road wheels stand at δ + δ_0 when the servo says δ.
+"""The road wheels stand at an angle when the servo says zero.
 
-In data: a constant curvature at zero measured steering, of the same sign at every speed. Excited by straights in both
-directions; confused with a yaw misalignment of the motion capture when only one direction is driven.
+Formula: δ_w = δ + δ_0.
+Source: trim of the linkage.
+In data: a constant curvature at zero measured steering, of the same sign at every speed.
+Excited by: straights both ways.
+Confused with: steering_sensor_offset (measured steering settles beside its command), mocap_yaw_misalignment (turns no
+    path), camber_thrust.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 from racerl.vehicle.effects import Effect
 from racerl.vehicle.ops import Ops, Scalar
@@ -17,6 +22,8 @@ class SteeringOffset(Effect):
     """A constant added to the road-wheel angle."""
 
     offset: Scalar = parameter("rad", -0.2, 0.2, "δ_0, positive to the left")
+
+    symmetric: ClassVar[bool] = False
 
     def steer(self, delta: Scalar, own: Mapping[str, Scalar], ops: Ops) -> Scalar:
         """Return δ + δ_0."""

@@ -1,0 +1,43 @@
+"""What is known of every effect: its module's docstring, told apart, and its parameters."""
+
+import inspect
+import sys
+from dataclasses import dataclass, fields
+
+from racerl import registry
+from racerl.vehicle import effects
+from racerl.vehicle.effects import Effect
+from racerl.vehicle.parameter import Parameter
+
+ASPECTS = ("Formula", "Source", "In data", "Excited by", "Confused with")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One effect: its class, a sentence about it, the aspects of its docstring, and its parameters by name."""
+
+    name: str
+    cls: type[Effect]
+    title: str
+    aspects: dict[str, str]
+    parameters: dict[str, Parameter]
+
+
+def names() -> list[str]:
+    """Return the names of all effects, sorted."""
+    return registry.choices(effects)
+
+
+def entry(name: str) -> Entry:
+    """Return what is known of an effect; raise ConfigError with near names for an unknown one."""
+    cls = registry.lookup(effects, name)
+    title, _, text = (inspect.getdoc(sys.modules[cls.__module__]) or "").partition("\n\n")
+    aspects: dict[str, str] = {}
+    for line in text.splitlines():
+        label, colon, rest = line.partition(": ")
+        if colon and label in ASPECTS:
+            aspects[label] = rest
+        elif aspects:
+            aspects[list(aspects)[-1]] += f" {line.strip()}"
+    parameters = {field.name: field.metadata["parameter"] for field in fields(cls)}
+    return Entry(name, cls, title, aspects, parameters)

@@ -1,0 +1,42 @@
+"""Play in the linkage: the road wheels rest until the servo has crossed the gap.
+
+Formula: δ_w stays within δ ± b and moves only when pushed; a fast lag of 6 ms makes the push smooth.
+Source: the play operator of mechanics.
+In data: after each reversal of the steering, the yaw rate waits for a change of 2 b of the measured angle.
+Excited by: slow steering to and fro about several angles, slalom.
+Confused with: steering_deadband (shows in the measured angle, play does not), tyre_relaxation.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from racerl.vehicle.effects import Effect
+from racerl.vehicle.ops import Ops, Scalar
+from racerl.vehicle.parameter import parameter
+
+if TYPE_CHECKING:
+    from racerl.vehicle.vehicle import Course
+
+PUSH = 150.0  # 1/s, rate at which the remembered angle follows the pushed one
+
+
+@dataclass(frozen=True, kw_only=True)
+class SteeringBacklash(Effect):
+    """Play between measured angle and road wheels."""
+
+    play: Scalar = parameter("rad", 0.0, 0.1, "b, half the gap")
+
+    states: ClassVar[tuple[str, ...]] = ("wheel",)
+
+    def steer(self, delta: Scalar, own: Mapping[str, Scalar], ops: Ops) -> Scalar:
+        """Return the road-wheel angle, no further than b from δ."""
+        return self._pushed(own[self.key("wheel")], delta, ops)
+
+    def rates(self, course: "Course", ops: Ops) -> Sequence[Scalar]:
+        """Return the rate at which the pushed wheels move."""
+        wheel = course.motion.own[self.key("wheel")]
+        return (PUSH * (course.motion.delta - wheel),)
+
+    def _pushed(self, wheel: Scalar, delta: Scalar, ops: Ops) -> Scalar:
+        return ops.minimum(ops.maximum(wheel, delta - self.play), delta + self.play)

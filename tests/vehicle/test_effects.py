@@ -1,0 +1,332 @@
+"""What each effect does to the car, in numbers; and what the catalogue says of it."""
+
+import math
+import re
+
+import pytest
+import torch
+
+from racerl.errors import ConfigError
+from racerl.vehicle import catalogue
+from racerl.vehicle.integrate import advance
+from racerl.vehicle.ops import TORCH
+from racerl.vehicle.vehicle import STATE, Vehicle
+from tests.vehicle.conftest import make_car, random_states
+
+CONTRACT = (
+    "steering_delay",
+    "steering_second_order",
+    "steering_rate_limit",
+    "steering_backlash",
+    "steering_deadband",
+    "steering_offset",
+    "steering_gain_asymmetry",
+    "steering_nonlinearity",
+    "steering_gain",
+    "steering_saturation",
+    "steering_compliance",
+    "drive_delay",
+    "drive_brake_asymmetry",
+    "current_limit",
+    "back_emf",
+    "battery_sag",
+    "drive_load_droop",
+    "regen_braking",
+    "drive_split",
+    "locked_differential",
+    "rolling_resistance",
+    "viscous_drag",
+    "aero_drag",
+    "downforce",
+    "longitudinal_load_transfer",
+    "lateral_load_sensitivity",
+    "tyre_relaxation",
+    "friction_fade",
+    "tyre_heating",
+    "speed_dependent_friction",
+    "friction_patch",
+    "camber_thrust",
+    "yaw_damping",
+    "roll_dynamics",
+    "cog_longitudinal_offset",
+    "cog_lateral_offset",
+    "road_slope",
+    "road_bank",
+    "pose_latency",
+    "steering_sensor_latency",
+    "wheel_speed_latency",
+    "steering_sensor_offset",
+    "wheel_speed_gain",
+    "wheel_growth",
+    "lever_arm",
+    "mocap_yaw_misalignment",
+    "command_timestamp_offset",
+)
+ROW = {name: i for i, name in enumerate(STATE)}
+
+
+def with_effect(name: str, **parameters: float) -> Vehicle:
+    changes = [f"vehicle.effects.{name}.{key}={value}" for key, value in parameters.items()]
+    return make_car(f"+vehicle/effect={name}", *changes)
+
+
+def states(car: Vehicle, **values: float) -> torch.Tensor:
+    """Return one state with everything at 0 but what is given."""
+    state = torch.zeros(len(car.states), 1, dtype=torch.float64)
+    for name, value in values.items():
+        state[car.states.index(name.replace("__", "."))] = value
+    return state
+
+
+def change(name: str, command=(0.0, 3.0), parameters=None, **values: float) -> dict[str, float]:
+    """Return how the derivative of a state changes by an effect."""
+    plain, car = make_car(), with_effect(name, **(parameters or {}))
+    u = torch.tensor(command, dtype=torch.float64)[:, None]
+    body = {key: value for key, value in values.items() if "__" not in key}
+    base = plain.derivative(states(plain, **body), u, TORCH)
+    got = car.derivative(states(car, **values), u, TORCH)
+    return {key: float(got[i] - base[i]) for key, i in ROW.items()}
+
+
+def test_the_catalogue_is_complete():
+    assert set(catalogue.names()) == set(CONTRACT)
+
+
+@pytest.mark.parametrize("name", CONTRACT)
+def test_every_effect_explains_itself(name):
+    entry = catalogue.entry(name)
+    assert tuple(entry.aspects) == catalogue.ASPECTS and all(entry.aspects.values()), entry.aspects
+    assert entry.title.endswith(".") and entry.parameters
+    for word in re.findall(r"[a-z]+(?:_[a-z]+)+", entry.aspects["Confused with"]):
+        assert word in CONTRACT or word in ("a_y", "a_x", "v_x"), word
+    assert name not in entry.aspects["Confused with"].split()
+
+
+def test_an_unknown_effect_is_named_with_its_neighbours():
+    with pytest.raises(ConfigError, match="did you mean steering_delay"):
+        catalogue.entry("steering_dely")
+
+
+ROLLING = {"v_x": 3.0, "omega": 3.0}
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters", "state", "command", "row", "expected"),
+    [
+        ("steering_offset", {"offset": 0.01}, ROLLING, (0.0, 3.0), "delta", 0.0),
+        ("steering_rate_limit", {"limit": 1.0}, {**ROLLING, "delta": 0.0}, (0.5, 3.0), "delta", 1.0 - 0.5 / 0.044),
+        ("current_limit", {"limit": 2.0}, {"v_x": 1.0, "omega": 1.0}, (0.0, 5.0), "omega", None),
+        ("drive_brake_asymmetry", {"ratio": 2.0}, ROLLING, (0.0, 2.0), "omega", None),
+        ("regen_braking", {"rate": 2.0}, ROLLING, (0.0, 1.0), "omega", -6.0),
+        ("regen_braking", {"rate": 2.0}, ROLLING, (0.0, 5.0), "omega", 0.0),
+        ("rolling_resistance", {"force": 1.0}, ROLLING, (0.0, 3.0), "v_x", -1.0 / 5.1),
+        ("viscous_drag", {"coefficient": 0.5}, ROLLING, (0.0, 3.0), "v_x", -1.5 / 5.1),
+        ("aero_drag", {"coefficient": 0.05}, ROLLING, (0.0, 3.0), "v_x", -0.45 / 5.1),
+        ("camber_thrust", {"share": 0.01}, ROLLING, (0.0, 3.0), "v_y", 0.0981),
+        ("camber_thrust", {"share": 0.01}, ROLLING, (0.0, 3.0), "yaw_rate", 0.0),
+        ("road_slope", {"x": 0.02}, {**ROLLING, "yaw": math.pi / 2}, (0.0, 3.0), "v_y", -0.1962),
+        ("road_slope", {"x": 0.02}, {**ROLLING, "yaw": math.pi}, (0.0, 3.0), "v_x", -0.1962),
+        ("road_bank", {"bank": 0.03, "y": 0.0}, {**ROLLING, "x": 10.0, "yaw": math.pi / 2}, (0.0, 3.0), "v_y", 0.29284),
+    ],
+)
+def test_effects_in_numbers(name, parameters, state, command, row, expected):
+    car = make_car("vehicle=published")
+    assert (float(car.steering.time_constant), float(car.mass)) == (0.044, 5.1)
+    plain = make_car()
+    if expected is None:
+        rate = (command[1] - state["omega"]) / float(plain.drive.time_constant)
+        limit = {"current_limit": 2.0, "drive_brake_asymmetry": rate / 2.0}[name]
+        expected = limit - rate
+    elif row == "delta" and expected:
+        expected = 1.0 - 0.5 / float(plain.steering.time_constant)
+    elif row == "v_x" and "slope" not in name:
+        expected *= 5.1 / float(plain.mass)
+    assert change(name, command, parameters, **state)[row] == pytest.approx(expected, rel=2e-3, abs=1e-9)
+
+
+def turn_rate(car: Vehicle, delta: float = 0.1, speed: float = 1.5) -> float:
+    """Return the steady yaw rate in rad/s."""
+    state = states(car, v_x=speed, omega=speed, delta=delta)
+    command = torch.tensor([[delta], [speed]], dtype=torch.float64)
+    return float(advance(car, state, command, 0.005, 600, TORCH)[ROW["yaw_rate"]])
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters", "sign"),
+    [
+        ("steering_gain", {"gain": 1.1}, 1),
+        ("steering_offset", {"offset": 0.02}, 1),
+        ("steering_gain_asymmetry", {"asymmetry": 0.1}, 1),
+        ("steering_nonlinearity", {"cubic": 5.0}, 1),
+        ("steering_saturation", {"limit": 0.05}, -1),
+        ("steering_backlash", {"play": 0.02}, -1),
+        ("steering_compliance", {"compliance": 0.004}, -1),
+        ("locked_differential", {"stiffness": 0.4}, -1),
+        ("yaw_damping", {"coefficient": 0.2}, -1),
+        ("cog_longitudinal_offset", {"offset": 0.03}, None),
+    ],
+)
+def test_steady_turns_change_as_they_should(name, parameters, sign):
+    plain, got = turn_rate(make_car()), turn_rate(with_effect(name, **parameters))
+    assert abs(got / plain - 1.0) > 0.01
+    assert sign is None or (got > plain) == (sign > 0)
+
+
+def test_grip_is_lost_where_when_and_how_it_should():
+    def grip(name, parameters=None, **values):
+        car = with_effect(name, **(parameters or {}))
+        motion = car.motion(states(car, **values))
+        state = states(car, **values)
+        own = {key: state[i] for i, key in enumerate(car.states) if "." in key}
+        front, rear = car.effects[name].grip((1.0, 1.0), motion._replace(own=own), TORCH)
+        assert float(front) == float(rear)
+        return float(front)
+
+    assert grip("friction_fade", {"rate": 1e-3}, friction_fade__clock=100.0) == pytest.approx(0.9)
+    assert grip("speed_dependent_friction", {"loss": 0.05}, v_x=4.0) == pytest.approx(0.8)
+    assert grip("friction_patch", {"depth": 0.4, "x": 1.0, "radius": 2.0}, x=3.0) == pytest.approx(
+        1 - 0.4 * 0.6065, 1e-3
+    )
+    assert grip("tyre_heating", {"loss": 0.1}, tyre_heating__heat=2.0) == pytest.approx(0.8)
+    sensitive = {"lateral_load_sensitivity__acceleration": -5.0}
+    assert grip("lateral_load_sensitivity", {"loss": 0.02}, **sensitive) == pytest.approx(0.9, abs=5e-3)
+    assert grip("roll_dynamics", {"loss": 0.02}, roll_dynamics__roll=5.0) == pytest.approx(0.9, abs=5e-3)
+
+
+def test_loads_shift_and_grow():
+    wings = with_effect("downforce", coefficient=0.1)
+    front, rear = wings.loads(wings.motion(states(wings, v_x=3.0)), TORCH)
+    assert float(front + rear) == pytest.approx(float(wings.mass) * 9.81 + 0.9)
+    car = with_effect("longitudinal_load_transfer", height=0.06)
+    still = car.motion(states(car))
+    braking = still._replace(own={"longitudinal_load_transfer.acceleration": torch.tensor([-5.0])})
+    more = float(car.loads(braking, TORCH)[0] - car.loads(still, TORCH)[0])
+    assert more == pytest.approx(float(car.mass) * 5.0 * 0.06 / float(car.wheelbase))
+
+
+def test_the_pitch_follows_the_acceleration_of_the_car():
+    car = with_effect("longitudinal_load_transfer", height=0.06)
+    state = states(car, v_x=2.0, omega=2.4)
+    command = torch.tensor([[0.0], [2.4]], dtype=torch.float64)
+    moved = advance(car, state, command, 0.001, 40, TORCH)
+    rate = car.derivative(moved, command, TORCH)
+    assert float(moved[8]) == pytest.approx(float(rate[ROW["v_x"]]), rel=0.2) and float(moved[8]) > 0.5
+
+
+def test_play_has_two_sides():
+    """Coming from the left or from the right, the wheels rest on different sides of the gap."""
+    car = with_effect("steering_backlash", play=0.02)
+    effect, index = car.effects["steering_backlash"], car.states.index("steering_backlash.wheel")
+    came_from_left, came_from_right = (
+        advance(
+            car,
+            advance(
+                car,
+                states(car, v_x=1.0, omega=1.0),
+                torch.tensor([[side], [1.0]], dtype=torch.float64),
+                0.002,
+                500,
+                TORCH,
+            ),
+            torch.tensor([[0.0], [1.0]], dtype=torch.float64),
+            0.002,
+            500,
+            TORCH,
+        )
+        for side in (0.2, -0.2)
+    )
+    for state, angle in ((came_from_left, 0.02), (came_from_right, -0.02)):
+        own = {"steering_backlash.wheel": state[index]}
+        assert float(effect.steer(state[ROW["delta"]], own, TORCH)) == pytest.approx(angle, abs=1e-3)
+
+
+def test_a_second_order_servo_overshoots():
+    car = with_effect("steering_second_order", frequency=30.0, damping=0.4)
+    state, command = states(car, v_x=1.0, omega=1.0), torch.tensor([[0.2], [1.0]], dtype=torch.float64)
+    peak = max(float(advance(car, state, command, 0.002, steps, TORCH)[ROW["delta"]]) for steps in range(20, 120, 4))
+    assert peak == pytest.approx(0.2 * (1 + math.exp(-math.pi * 0.4 / math.sqrt(1 - 0.16))), rel=0.01)
+
+
+def test_a_deadband_leaves_the_servo_short_of_its_command():
+    car = with_effect("steering_deadband", width=0.02)
+    state, command = states(car, v_x=1.0, omega=1.0), torch.tensor([[0.2], [1.0]], dtype=torch.float64)
+    short = 0.2 - float(advance(car, state, command, 0.002, 500, TORCH)[ROW["delta"]])
+    assert 0.01 < short < 0.03
+
+
+def test_relaxation_takes_a_distance():
+    car = with_effect("tyre_relaxation", length=0.3)
+    start = states(car, v_x=3.0, v_y=0.3, omega=3.0)
+    rates = car.derivative(start, torch.tensor([[0.0], [3.0]], dtype=torch.float64), TORCH)[8:]
+    slips = make_car().slips(make_car().motion(start), TORCH)
+    expected = torch.stack([slips.alpha_f, slips.alpha_r]) / (0.3 / 3.1 + 0.003)
+    assert torch.allclose(rates, expected)
+
+
+def test_torque_falls_with_speed():
+    slow = change("back_emf", (0.0, 9.0), {"stall": 20.0, "top_speed": 8.0}, v_x=1.0, omega=1.0)["omega"]
+    fast = change("back_emf", (0.0, 9.0), {"stall": 20.0, "top_speed": 8.0}, v_x=4.0, omega=4.0)["omega"]
+    constant = float(make_car().drive.time_constant)
+    assert slow + 8.0 / constant == pytest.approx(17.5, abs=0.1)
+    assert fast + 5.0 / constant == pytest.approx(10.0, abs=0.1)
+
+
+def test_sag_droop_and_split():
+    aged = change("battery_sag", (0.0, 3.0), {"rate": 1e-3}, v_x=3.0, omega=3.0, battery_sag__clock=100.0)
+    assert aged["omega"] == pytest.approx(-0.3 / float(make_car().drive.time_constant))
+    pushing = {"v_x": 2.0, "omega": 2.3}
+    assert change("drive_load_droop", (0.0, 3.0), {"droop": 0.2}, **pushing)["omega"] < -1.0
+    turning = {**pushing, "delta": 0.2, "v_y": 0.1, "yaw_rate": 1.0}
+    nose, tail = (change("drive_split", (0.0, 3.0), {"front": q}, **turning) for q in (0.8, 0.2))
+    assert nose["yaw_rate"] * tail["yaw_rate"] < 0.0
+    lateral = change("cog_lateral_offset", (0.0, 3.0), {"offset": 0.01}, **pushing)
+    assert lateral["yaw_rate"] < 0.0
+
+
+def test_sensors_show_what_they_should():
+    def shown(name, parameters, **values):
+        car = with_effect(name, **parameters)
+        true = {key: float(values.get(key, 0.0)) for key in STATE}
+        return car.measured(true, TORCH), true
+
+    got, _ = shown("lever_arm", {"forward": 0.1, "left": 0.05}, yaw=math.pi / 2, v_x=2.0, yaw_rate=1.0)
+    assert [got[key] for key in ("x", "y", "v_x", "v_y")] == pytest.approx([-0.05, 0.1, 1.95, 0.1])
+    got, _ = shown("mocap_yaw_misalignment", {"angle": 0.1}, v_x=2.0)
+    assert got["yaw"] == pytest.approx(0.1) and got["v_y"] == pytest.approx(-2.0 * math.sin(0.1))
+    got, _ = shown("steering_sensor_offset", {"offset": 0.02}, delta=0.1)
+    assert got["delta"] == pytest.approx(0.12)
+    got, _ = shown("wheel_speed_gain", {"gain": 1.03}, omega=2.0)
+    assert got["omega"] == pytest.approx(2.06)
+    got, true = shown("wheel_growth", {"coefficient": 0.002}, omega=5.0)
+    assert got["omega"] == pytest.approx(4.75) and true["omega"] == 5.0
+
+
+def test_delays_and_latencies_name_their_channels():
+    assert with_effect("steering_delay", delay=0.04).delays() == {"delta_ref": 0.04}
+    assert with_effect("drive_delay", delay=0.03).delays() == {"drive_ref": 0.03}
+    assert set(with_effect("pose_latency").latencies()) == {"x", "y", "yaw", "v_x", "v_y", "yaw_rate"}
+    both = make_car("+vehicle/effect=[steering_sensor_latency,command_timestamp_offset]").latencies()
+    assert both == {"delta_ref": 0.02, "omega_ref": 0.02, "delta": 0.04, "omega": 0.02}
+
+
+SCALED = {  # effects that vanish with a parameter
+    "steering_backlash": {"play": 0.0},
+    "steering_compliance": {"compliance": 0.0},
+    "tyre_heating": {"loss": 0.0},
+    "drive_split": {"front": 0.5},
+    "friction_patch": {"depth": 0.0},
+    "steering_nonlinearity": {"cubic": 0.0},
+    "drive_brake_asymmetry": {"ratio": 1.0},
+    "lateral_load_sensitivity": {"loss": 0.0},
+    "longitudinal_load_transfer": {"height": 0.0},
+}
+
+
+@pytest.mark.parametrize("name", SCALED)
+def test_an_effect_of_no_size_changes_nothing(name):
+    car, plain = with_effect(name, **SCALED[name]), make_car()
+    state, command = random_states(car, 100)
+    if name == "steering_backlash":
+        state[8] = state[6]
+    got, base = car.derivative(state, command, TORCH)[:8], plain.derivative(state[:8], command, TORCH)
+    assert torch.allclose(got, base, rtol=1e-9, atol=1e-12)
