@@ -1,0 +1,168 @@
+"""What a log says about one stage: equal windows with inputs at any shift in time, and each channel's noise."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.signal import savgol_coeffs, savgol_filter
+
+from racerl.data.differentiate import velocities
+from racerl.data.log import POSE, VELOCITY, Log
+from racerl.gap.stage import Stage
+from racerl.vehicle.rollout import Windows
+from racerl.vehicle.vehicle import STATE
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+MARGIN = 25  # samples of a run before its first window, so that late inputs are known
+SMOOTH, SLOPE = 5, 7  # samples of the quadratic Savitzky–Golay filters of measured inputs and their slopes
+LOCAL, ORDER = 11, 4  # samples and order of the local polynomials that tell noise from motion
+COMMANDS = ("delta_ref", "omega_ref")
+FILTERS = [(window, order) for order in (2, 3) for window in range(5, 42, 2)]  # that velocities may have been made by
+ALIKE = 0.3  # of a velocity's noise by which it may differ from such a derivative
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """The rows of some logs, run after run, and the windows of a stage in them.
+
+    `columns` (R,) by channel; `first`, `last` (R,): the rows of the run that a row belongs to. `start`, `run` (W,):
+    first row and run of each window of `length` intervals of dt seconds.
+    """
+
+    stage: Stage
+    columns: dict[str, Array]
+    first: Index
+    last: Index
+    start: Index
+    run: Index
+    length: int
+    dt: float
+    observed: tuple[str, ...]  # the stage's outputs that were measured, not made from others
+
+    @classmethod
+    def of(cls, logs: Sequence[Log], stage: Stage, length: int, slowest: float) -> "Evidence | None":
+        """Cut windows side by side; None where the logs lack what the stage needs.
+
+        Windows in which the car is slower than `slowest` m/s are left out of the chassis stage.
+        """
+        channels = set.intersection(*(set(log.channels) for log in logs))
+        needed = [stage.inputs[0]] if stage.name == "steering" else list(stage.inputs)
+        if not channels >= set(needed) or not channels & set(stage.outputs):
+            return None
+        runs = [rows for log in logs for rows in log.runs()]
+        size = np.array([len(rows) for rows in runs])
+        first = np.repeat(np.cumsum(size) - size, size)
+        last = np.repeat(np.cumsum(size) - 1, size)
+        columns = {name: np.concatenate([rows[name].to_numpy() for rows in runs]) for name in ("t", *channels)}
+        columns |= {name: np.zeros(len(first)) for name in stage.inputs if name not in channels}
+        if "yaw" in columns:
+            columns["yaw"] = np.concatenate([np.unwrap(rows["yaw"].to_numpy()) for rows in runs])
+        start, run = [], []
+        for number, (begin, rows) in enumerate(zip(np.cumsum(size) - size, size, strict=True)):
+            places = begin + np.arange(MARGIN, rows - length - 1, length)
+            if stage.name == "chassis" and len(places):
+                speed = columns["v_x"][places[:, None] + np.arange(length + 1)]
+                places = places[(speed > slowest).all(axis=1)]
+            start.append(places)
+            run.append(np.full(len(places), number))
+        observed = [name for name in stage.outputs if name in channels]
+        if {*POSE, *VELOCITY} <= set(observed) and derived(runs, logs[0].dt):
+            observed = list(POSE)
+        return cls(
+            stage, columns, first, last, np.concatenate(start), np.concatenate(run), length, logs[0].dt, tuple(observed)
+        )
+
+    def windows(self, states: Sequence[str], shifts: Sequence[float]) -> Windows:
+        """Return all windows, inputs shifted by so many seconds (later if positive), with measured initial states."""
+        rows = self.start[:, None] + np.arange(self.length + 1)  # (W, T + 1)
+        given = [self._input(name, rows[:, :-1], shift) for name, shift in zip(self.stage.inputs, shifts, strict=True)]
+        inputs = np.stack([value for value, _ in given] + [slope for _, slope in given])  # (4, W, T)
+        measured = np.stack([self.columns[name][rows] for name in self.observed])  # (C, W, T + 1)
+        initial = np.zeros((len(states), len(self.start)))
+        for i, name in enumerate(states):
+            if name in STATE and name in self.columns:
+                initial[i] = self.columns[name][self.start]
+        return Windows(
+            initial,
+            np.ascontiguousarray(inputs.transpose(2, 0, 1)),
+            np.ascontiguousarray(measured.transpose(2, 0, 1)),
+            np.ones((len(measured), len(self.start))),
+            self.dt,
+        )
+
+    def _input(self, name: str, rows: Index, shift: float) -> tuple[Array, Array]:
+        """Return a channel's mean over the intervals that begin at `rows`, `shift` seconds before, and its slope."""
+        late = shift / self.dt
+        if name in COMMANDS:  # held from sample to sample
+            whole = int(np.floor(late))
+            newer, older = (self._at(self.columns[name], rows - k) for k in (whole, whole + 1))
+            return newer + (late - whole) * (older - newer), (newer - older) / self.dt
+        values, slopes = self._smooth(name)
+        place = 0.5 - late
+        whole = int(np.floor(place))
+        share = place - whole
+        return tuple(  # type: ignore[return-value]
+            (1.0 - share) * self._at(column, rows + whole) + share * self._at(column, rows + whole + 1)
+            for column in (values, slopes)
+        )
+
+    def _at(self, column: Array, rows: Index) -> Array:
+        """Return a column at rows, held before the first and after the last row of each window's run."""
+        ends = self.start[:, None]
+        taken: Array = column[np.clip(rows, self.first[ends], self.last[ends])]
+        return taken
+
+    def _smooth(self, name: str) -> tuple[Array, Array]:
+        values, slopes = self.columns[name].copy(), np.zeros(len(self.first))
+        for begin in np.unique(self.first):
+            end = self.last[begin] + 1
+            if end - begin >= SLOPE:
+                part = self.columns[name][begin:end]
+                values[begin:end] = savgol_filter(part, SMOOTH, 2, mode="interp")
+                slopes[begin:end] = savgol_filter(part, SLOPE, 2, deriv=1, delta=self.dt, mode="interp")
+        return values, slopes
+
+    def noise(self) -> Array:
+        """Return the standard deviation of each output's noise, (C,): what local polynomials do not follow."""
+        begins = np.unique(self.first)
+        sizes = self.last[begins] + 1 - begins
+        deviation = [
+            np.sqrt(
+                np.average(
+                    [_spread(self.columns[name][b : b + n]) ** 2 for b, n in zip(begins, sizes, strict=True)],
+                    weights=sizes,
+                )
+            )
+            for name in self.observed
+        ]
+        return np.maximum(np.array(deviation), 1e-9)
+
+
+def derived(runs: Sequence[pd.DataFrame], dt: float) -> bool:
+    """Return whether the velocities were made from the poses: some Savitzky–Golay derivative gives them.
+
+    Such velocities say nothing that the poses do not, and they round off whatever is faster than their filter.
+    """
+    run = max(runs, key=len)
+    given = run[list(VELOCITY)].to_numpy().T
+    x, y, yaw = (run[name].to_numpy() for name in POSE)
+    noise = np.array([_spread(column) for column in given])
+    for window, order in FILTERS:
+        if len(run) > window:
+            made = np.array(velocities(x, y, yaw, dt, window, order))
+            inner = slice(window, -window)
+            if (np.median(np.abs(made - given)[:, inner], axis=1) < ALIKE * np.maximum(noise, 1e-6)).all():
+                return True
+    return False
+
+
+def _spread(column: Array) -> float:
+    """Return the standard deviation of what local polynomials do not follow in one run's channel."""
+    centre = savgol_coeffs(LOCAL, ORDER)[LOCAL // 2]
+    if len(column) <= LOCAL:
+        return 0.0
+    left = (column - savgol_filter(column, LOCAL, ORDER))[LOCAL // 2 : -(LOCAL // 2)]
+    return 1.4826 * float(np.median(np.abs(left))) / float(np.sqrt(1.0 - centre))

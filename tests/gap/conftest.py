@@ -1,0 +1,39 @@
+"""A short drive of a car with known effects, as a log."""
+
+import numpy as np
+import pytest
+
+from racerl.assemble import conf_folder
+from racerl.config import compose_settings
+from racerl.data.log import Log
+from racerl.gap.catalogue import starts
+from racerl.gap.investigation import Investigation
+from racerl.identify.unknowns import choose_unknowns
+from racerl.record.record import Plan, table
+from racerl.vehicle.load import load_vehicle
+
+
+def drive(*overrides: str, seconds: float = 90.0) -> Log:
+    """Return what the sensors of a car show of the excitation programme."""
+    settings = compose_settings("record", ["vehicle=published", f"seconds={seconds}", *overrides])
+    return Log.from_table("drive", table(Plan.of(settings).drive(), **settings["smoothing"]))
+
+
+def investigate(log: Log, *names: str) -> Investigation:
+    """Return an investigation of a log that knows these effects."""
+    settings = compose_settings("identify", ["vehicle=published", "logs=[drive]"])
+    vehicle = load_vehicle(settings["vehicle"])
+    unknowns = choose_unknowns(vehicle, settings["priors"], [], vehicle)
+    extent = np.array([[log.array(axis).min(), log.array(axis).max()] for axis in ("x", "y")])
+    catalogue = {name: starts(name, conf_folder() / "vehicle" / "effect", extent) for name in names}
+    return Investigation([log], vehicle, unknowns, catalogue, threads=2)
+
+
+@pytest.fixture(scope="session")
+def clean() -> Log:
+    return drive()
+
+
+@pytest.fixture(scope="session")
+def damped() -> Log:
+    return drive("+vehicle/effect=yaw_damping", "vehicle.effects.yaw_damping.coefficient=0.15")

@@ -1,0 +1,164 @@
+"""The design of the blind test: which car hides what, how it is driven and how noisy its log is.
+
+Everything follows from the case itself: its name is a hash that tells nothing, and the name seeds its car, its effects'
+values, its driving and its noise.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations, product
+
+import numpy as np
+
+from tests.gap.plant import cars, effects
+from tests.gap.plant.effects import CATALOGUE, SIZES, UNLISTED
+from tests.gap.plant.programmes import PROGRAMMES
+
+Hidden = tuple[tuple[str, str], ...]  # (effect, size)
+
+NOISES = (0.5, 1.0, 3.0)
+DRIVES = ("excitation", "race")
+CLEAN_CARS = 12
+TWO_TRACK_CARS = 4
+PAIRS = 40
+POOR_EFFECTS = ("friction_fade", "back_emf", "lateral_load_sensitivity", "steering_saturation", "aero_drag")
+CANCELLING = {
+    frozenset({"pose_latency", "command_timestamp_offset"}),
+    frozenset({"steering_offset", "steering_sensor_offset"}),
+}
+
+
+@dataclass(frozen=True)
+class Case:
+    """One log of the blind test."""
+
+    set: str
+    effects: Hidden
+    programme: str = "excitation"
+    noise: float = 1.0
+    structure: str = "single_track"
+    minutes: float | None = None  # the programme's own where None
+    direction: str = "both"  # of the race: both, or one
+    velocities: str = "measured"  # or differentiated from the pose
+    number: int = 0  # tells repetitions apart
+    seed: int = 1
+
+    @property
+    def name(self) -> str:
+        """An opaque name."""
+        return hashlib.sha256(repr(self).encode()).hexdigest()[:12]
+
+    @property
+    def length(self) -> float:
+        """Minutes of driving."""
+        return PROGRAMMES[self.programme].minutes if self.minutes is None else self.minutes
+
+    def generator(self, purpose: int) -> np.random.Generator:
+        """A generator of its own for each purpose."""
+        return np.random.default_rng([int(self.name, 16), purpose])
+
+    def car(self) -> dict[str, float]:
+        """The hidden car."""
+        return cars.draw(self.generator(0))
+
+    def values(self) -> dict[str, dict[str, float]]:
+        """The hidden effects' parameters."""
+        rng, place = self.generator(1), PROGRAMMES[self.programme].landmark
+        return {name: effects.draw(name, size, rng, place) for name, size in self.effects}
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What of a set is wanted; None leaves the set's own choice."""
+
+    seed: int = 1
+    sizes: Sequence[str] | None = None
+    noises: Sequence[float] | None = None
+    programmes: Sequence[str] | None = None
+    effects: Sequence[str] | None = None
+    minutes: float | None = None
+    direction: str = "both"
+    velocities: str = "measured"
+
+    def case(
+        self, name: str, hidden: Hidden, programme: str, noise: float, number: int = 0, structure: str = "single_track"
+    ) -> Case:
+        """A case with the options that hold for all."""
+        return Case(
+            set=name,
+            effects=hidden,
+            programme=programme,
+            noise=noise,
+            structure=structure,
+            minutes=self.minutes,
+            direction=self.direction,
+            velocities=self.velocities,
+            number=number,
+            seed=self.seed,
+        )
+
+
+def single(choice: Choice) -> list[Case]:
+    """Every effect of the catalogue alone: sizes × noises × excitation and race."""
+    return _alone("single", choice, choice.effects or tuple(CATALOGUE))
+
+
+def unlisted(choice: Choice) -> list[Case]:
+    """Every effect that no catalogue lists, alone."""
+    return _alone("unlisted", choice, choice.effects or tuple(UNLISTED))
+
+
+def clean(choice: Choice) -> list[Case]:
+    """No effect: many cars × noises × excitation and race."""
+    grid = product(range(CLEAN_CARS), choice.noises or NOISES, choice.programmes or DRIVES)
+    return [choice.case("clean", (), programme, noise, number=i) for i, noise, programme in grid]
+
+
+def structure(choice: Choice) -> list[Case]:
+    """Two-track cars without any effect."""
+    grid = product(range(TWO_TRACK_CARS), choice.noises or (1.0,), choice.programmes or DRIVES)
+    return [choice.case("structure", (), p, noise, number=i, structure="two_track") for i, noise, p in grid]
+
+
+def poor(choice: Choice) -> list[Case]:
+    """Logs that can't tell: with no effect, and with one that would show in a better log."""
+    sizes = choice.sizes or ("medium",)
+    hidden: list[Hidden] = [(), *(((e, s),) for e, s in product(choice.effects or POOR_EFFECTS, sizes))]
+    grid = product(hidden, choice.noises or (1.0,), choice.programmes or ("slow", "still", "short"))
+    return [choice.case("poor", h, programme, noise) for h, noise, programme in grid]
+
+
+def pairs(choice: Choice) -> list[Case]:
+    """Two effects at once, medium or large: every effect about as often, partners and sizes drawn."""
+    rng = np.random.default_rng([choice.seed, 2])
+    sizes = choice.sizes or ("medium", "large")
+    couples = _couples(choice.effects or tuple(CATALOGUE), rng)
+    drawn = [((a, str(rng.choice(sizes))), (b, str(rng.choice(sizes)))) for a, b in couples]
+    grid = product(drawn, choice.noises or (1.0,), choice.programmes or ("excitation",))
+    return [choice.case("pairs", hidden, programme, noise) for hidden, noise, programme in grid]
+
+
+SETS = {"single": single, "clean": clean, "pairs": pairs, "unlisted": unlisted, "structure": structure, "poor": poor}
+
+
+def _alone(name: str, choice: Choice, hidden: Sequence[str]) -> list[Case]:
+    """Each effect × sizes × noises × programmes."""
+    grid = product(hidden, choice.sizes or SIZES, choice.noises or NOISES, choice.programmes or DRIVES)
+    return [choice.case(name, ((effect, size),), programme, noise) for effect, size, noise, programme in grid]
+
+
+def _couples(names: Sequence[str], rng: np.random.Generator) -> list[tuple[str, str]]:
+    """Up to `PAIRS` different couples, dealt from shuffled decks of all names; none whose effects may cancel out."""
+    possible = {frozenset(couple) for couple in combinations(names, 2)} - CANCELLING
+    wanted = min(PAIRS, len(possible))
+    couples: list[tuple[str, str]] = []
+    while len(couples) < wanted:
+        deck = [str(name) for name in rng.permutation(names)]
+        for couple in zip(deck[::2], deck[1::2], strict=False):
+            if frozenset(couple) in possible:
+                possible.remove(frozenset(couple))
+                couples.append(couple)
+    return couples[:wanted]

@@ -1,0 +1,136 @@
+"""The engine: stages, shifts in time, sensitivities, states led by a whole log, and the name of a hidden effect."""
+
+import dataclasses
+import shutil
+
+import numpy as np
+import pytest
+
+from racerl.gap.evidence import Evidence
+from racerl.gap.follow import follow
+from racerl.gap.name import name_effects
+from racerl.gap.problem import StageProblem, Unknown
+from racerl.gap.stage import STAGES
+from racerl.vehicle.rollout import Windows
+from tests.gap.conftest import investigate
+from tests.vehicle.conftest import make_car
+
+needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler on this machine")
+STEERING, DRIVE, CHASSIS = STAGES
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("steering_delay", {"steering": (1, 0), "drive": (0, 0), "chassis": (0, 0)}),
+        ("drive_delay", {"steering": (0, 0), "drive": (0, 1), "chassis": (0, 0)}),
+        ("pose_latency", {"steering": (0, 0), "drive": (0, 0), "chassis": (1, 1)}),
+        ("command_timestamp_offset", {"steering": (0, 0), "drive": (0, 0), "chassis": (-1, -1)}),
+        ("steering_sensor_latency", {"steering": (1, 1), "drive": (-1, 0), "chassis": (-1, 0)}),
+    ],
+)
+def test_what_is_late_shifts_the_stages_that_it_should(name, expected):
+    effect = make_car(f"+vehicle/effect={name}").effects[name]
+    for stage in STAGES:
+        assert stage.shifts(effect) == pytest.approx(np.array(expected[stage.name]) * 0.02, abs=1e-12)
+
+
+def test_an_input_is_shifted_by_so_many_seconds(clean):
+    evidence = Evidence.of([clean], CHASSIS, 40, 0.5)
+    states = make_car().states
+    now, later = (evidence.windows(states, (shift, 0.0)).inputs for shift in (0.0, 0.05))
+    assert np.allclose(later[5:, 0], now[:-5, 0], atol=1e-12)  # 5 samples of 0.01 s
+    assert np.allclose(later[:, 1], now[:, 1])
+    commands = Evidence.of([clean], STEERING, 40, 0.5)
+    half, whole = (commands.windows(states, (shift, 0.0)).inputs[:, 0] for shift in (0.005, 0.01))
+    none = commands.windows(states, (0.0, 0.0)).inputs[:, 0]
+    assert np.allclose(half, (none + whole) / 2)
+
+
+def test_the_noise_of_every_channel_is_found(clean):
+    chassis = Evidence.of([clean], CHASSIS, 40, 0.5)
+    noise = dict(zip(chassis.observed, chassis.noise(), strict=True))
+    assert noise["x"] == pytest.approx(0.0005, rel=0.1) and noise["yaw"] == pytest.approx(0.001, rel=0.1)
+    assert Evidence.of([clean], STEERING, 40, 0.5).noise()[0] == pytest.approx(0.002, rel=0.1)
+
+
+def test_velocities_that_were_made_from_poses_are_told_from_measured_ones(clean):
+    assert Evidence.of([clean], CHASSIS, 40, 0.5).observed == ("x", "y", "yaw")
+    table, generator = clean.table.copy(), np.random.default_rng(0)
+    for name in ("v_x", "v_y", "yaw_rate"):
+        table[name] += 0.01 * generator.standard_normal(len(table))
+    measured = dataclasses.replace(clean, table=table)
+    assert Evidence.of([measured], CHASSIS, 40, 0.5).observed == CHASSIS.outputs
+
+
+def test_a_stage_that_lacks_channels_is_left_out(clean):
+    poor = dataclasses.replace(clean, table=clean.table.drop(columns=["delta_ref", "omega"]))
+    assert [Evidence.of([poor], stage, 40, 0.5) is None for stage in STAGES] == [True, True, True]
+    silent = dataclasses.replace(clean, table=clean.table.drop(columns=["delta_ref"]))
+    assert [Evidence.of([silent], stage, 40, 0.5) is None for stage in STAGES] == [True, False, False]
+
+
+def test_states_are_led_by_the_whole_log(clean):
+    evidence = Evidence.of([clean], CHASSIS, 40, 0.5)
+    car = CHASSIS.vehicle(make_car("vehicle=published", "+vehicle/effect=[friction_fade,tyre_heating,tyre_relaxation]"))
+    own = dict(zip(car.states[8:], follow(car, evidence), strict=True))
+    t = evidence.columns["t"]
+    assert np.allclose(own["friction_fade.clock"], t - t[0], atol=0.02)
+    assert own["tyre_heating.heat"].min() >= 0.0 and 0.0 < own["tyre_heating.heat"].max() < 100.0
+    assert np.isfinite(own["tyre_relaxation.alpha_f"]).all() and np.abs(own["tyre_relaxation.alpha_f"]).max() > 0.05
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    ("stage", "effect", "names"),
+    [
+        (CHASSIS, "pose_latency", ("effects.pose_latency.latency", "yaw_inertia")),
+        (CHASSIS, "wheel_speed_gain", ("effects.wheel_speed_gain.gain", "rear.p_Kx1")),
+        (CHASSIS, "lever_arm", ("effects.lever_arm.forward", "effects.lever_arm.left")),
+        (CHASSIS, "tyre_relaxation", ("effects.tyre_relaxation.length", "front.p_Ky1")),
+        (STEERING, "steering_second_order", ("effects.steering_second_order.frequency",)),
+        (DRIVE, "drive_load_droop", ("effects.drive_load_droop.droop", "drive.time_constant")),
+    ],
+)
+def test_gradients_of_a_stage_are_those_of_its_cost(clean, stage, effect, names):
+    """g = ½ ∂cost/∂θ by central differences, with inputs cut anew for every shift."""
+    car = make_car("vehicle=published", f"+vehicle/effect={effect}")
+    evidence = Evidence.of([clean], stage, 40, 0.8)
+    evidence = dataclasses.replace(evidence, start=evidence.start[:60:6], run=evidence.run[:60:6])
+    table = {name: float(value) for name, value in _values(car).items()}
+    unknowns = [Unknown(name, table[name], 1.0, -10.0, 100.0) for name in names]
+    sigma = np.full(len(evidence.observed), 0.01)
+    problem = StageProblem.of(evidence, car, unknowns, sigma, 1)
+    assert set(problem.names) == set(names)
+
+    def parts(theta):
+        windows = problem.windows(theta)
+        return problem.rollout.accumulate(problem.parameters(theta), windows), windows
+
+    at, windows = parts(table)
+    assert isinstance(windows, Windows)
+    g = problem.mixing().T @ at.g[:, : len(problem.rollout.names)].sum(axis=0)
+    for name, got in zip(problem.names, g, strict=True):
+        # a shift's slope is a smoothed one, and its own difference quotient spans half a sample
+        step = 2e-3 if name.endswith("latency") else 1e-5 * max(1.0, abs(table[name]))
+        up, down = (parts({**table, name: table[name] + side * step})[0].squares.sum() for side in (1, -1))
+        assert got == pytest.approx((up - down) / (4 * step), rel=0.15 if name.endswith("latency") else 1e-3)
+
+
+def _values(car):
+    from racerl.vehicle.parameter import values
+
+    return values(car)
+
+
+@needs_compiler
+def test_a_hidden_effect_is_named_and_measured(damped):
+    decision = name_effects(investigate(damped, "yaw_damping", "aero_drag", "steering_delay", "wheel_speed_gain"), 0)
+    assert decision.chosen == ["yaw_damping"]
+    assert decision.found.theta["effects.yaw_damping.coefficient"] == pytest.approx(0.15, rel=0.1)
+    assert decision.excess[-1] < 0.2 * decision.excess[0]
+
+
+@needs_compiler
+def test_nothing_is_named_on_a_clean_log(clean):
+    assert name_effects(investigate(clean, "yaw_damping", "aero_drag", "steering_delay"), 0).chosen == []

@@ -1,0 +1,252 @@
+"""The plant of the blind test is a sound car, its effects are the contract's, and it knows nothing of racerl."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.gap.plant import cars, effects, sensors, tyre
+from tests.gap.plant.batch import key, simulate
+from tests.gap.plant.car import Plant
+from tests.gap.plant.cases import SETS, Case, Choice
+from tests.gap.plant.effects import CATALOGUE, UNLISTED
+from tests.gap.plant.programmes import Run, bowl
+from tests.gap.plant.simulate import PREROLL, drive
+
+CATALOGUE_OF_THE_CONTRACT = """
+steering_delay steering_second_order steering_rate_limit steering_backlash steering_deadband steering_offset
+steering_gain_asymmetry steering_nonlinearity steering_gain steering_saturation steering_compliance
+drive_delay drive_brake_asymmetry current_limit back_emf battery_sag drive_load_droop regen_braking drive_split
+locked_differential
+rolling_resistance viscous_drag aero_drag downforce
+longitudinal_load_transfer lateral_load_sensitivity tyre_relaxation friction_fade tyre_heating
+speed_dependent_friction friction_patch camber_thrust yaw_damping roll_dynamics
+cog_longitudinal_offset cog_lateral_offset road_slope road_bank
+pose_latency steering_sensor_latency wheel_speed_latency steering_sensor_offset wheel_speed_gain wheel_growth lever_arm
+mocap_yaw_misalignment command_timestamp_offset
+"""
+
+SYMMETRIC = [
+    "steering_delay",
+    "steering_backlash",
+    "steering_deadband",
+    "locked_differential",
+    "tyre_relaxation",
+    "roll_dynamics",
+    "road_bank",
+]
+
+
+def published(n: int) -> dict[str, np.ndarray]:
+    return cars.stack([cars.PUBLISHED] * n)
+
+
+def medium(name: str) -> dict[str, dict[str, float]]:
+    return {name: dict(effects.ALL[name].sizes["medium"])}
+
+
+def run_of(seconds: float, speed: float, driver, n: int = 1, pose=(0.0, 0.0, 0.0)) -> Run:
+    return Run(seconds, np.repeat(np.array(pose)[:, None], n, axis=1), np.full(n, speed), driver)
+
+
+def held(delta: float, omega: float, n: int = 1):
+    return lambda t, state: np.repeat([[delta], [omega]], n, axis=1)
+
+
+def lively(sign: float, n: int):
+    """Steps, a swerve, power and brakes within three seconds."""
+
+    def driver(t: float, state: np.ndarray) -> np.ndarray:
+        delta = sign * (0.33 * (0.2 < t < 0.9) - 0.2 * (0.9 < t < 1.4) + 0.1 * np.sin(12 * t) * (t > 1.8))
+        omega = 2.5 + 1.8 * (0.5 < t < 1.2) - 1.5 * (t > 1.6) + 2.0 * (t > 2.1)
+        return np.repeat([[delta], [omega]], n, axis=1)
+
+    return driver
+
+
+def log_of(plant: Plant, run: Run) -> dict[str, np.ndarray]:
+    return drive(plant, [run])[0][1]
+
+
+def test_gentle_turn_is_kinematic():
+    log = log_of(Plant(published(1)), run_of(1.5, 0.4, held(0.1, 0.4)))
+    assert log["yaw_rate"][-1, 0] == pytest.approx(0.4 * np.tan(0.1) / 0.33, rel=0.02)
+    assert log["v_y"][-1, 0] == pytest.approx(log["yaw_rate"][-1, 0] * (0.33 - 0.1568), abs=0.01)
+
+
+def test_straight_line_follows_the_wheels():
+    """With steady wheels on a straight the slip carries the drag alone: κ K_x = drag."""
+    log = log_of(Plant(published(1)), run_of(1.0, 3.0, held(0.0, 3.0)))
+    drag = 8.5e-4 + 5.9e-4 * 3 + 2.8e-4 * 9
+    K_x = 5.1 * 9.81 * (1.268 * 0.1732 + 5.848 * 0.1568) / 0.33
+    assert log["v_x"][-1, 0] == pytest.approx(3.0 * (1 - drag / K_x), abs=1e-4)
+    assert np.abs(log["y"]).max() < 1e-12
+
+
+def test_locked_wheels_stop_the_car_at_the_limit_of_grip():
+    log = log_of(Plant(published(1)), run_of(0.5, 4.0, held(0.0, 0.0)))
+    peak = 0.8 * 9.81 * (0.8016 * 0.1732 + 0.8299 * 0.1568) / 0.33
+    assert 0.5 * peak < -np.gradient(log["v_x"][:, 0], 0.01)[20] <= 1.02 * peak
+
+
+def test_tyre_is_odd_and_weakened_by_the_other_slip():
+    wheels = Plant(published(1)).wheels
+    curves = wheels.tyre.curves(wheels.load, np.full((2, 1), 0.8))
+    slip = np.full((2, 2, 1), 0.2)
+    both, pure_y = tyre.forces(curves, slip), tyre.forces(curves, slip * [[[0.0]], [[1.0]]])
+    assert np.allclose(tyre.forces(curves, -slip), -both)
+    assert (both[1] < pure_y[1]).all()
+    assert (pure_y[1] < curves.peak[1]).all()
+
+
+def test_halving_the_step_changes_little():
+    n, names = 4, ["steering_delay", "tyre_relaxation", "drive_split"]
+    hidden = [{}, *map(medium, names)]
+    ends = [
+        log_of(Plant(published(n), effects.build(hidden), dt=dt), run_of(3.0, 2.5, lively(1.0, n), n))
+        for dt in (1e-3, 5e-4)
+    ]
+    for name in sensors.CHANNELS:
+        assert np.abs(ends[0][name] - ends[1][name]).max() < 1e-3, name
+
+
+def test_two_tracks_agree_with_one_when_gentle():
+    ends = [log_of(Plant(published(1), structure=s), run_of(1.0, 1.0, held(0.05, 1.0)))
+            for s in ("single_track", "two_track")]  # fmt: skip
+    assert ends[0]["yaw"][-1] == pytest.approx(ends[1]["yaw"][-1], rel=0.02)
+
+
+def test_two_tracks_differ_when_pushed():
+    ends = [log_of(Plant(published(1), structure=s), run_of(1.2, 3.0, lively(1.0, 1)))
+            for s in ("single_track", "two_track")]  # fmt: skip
+    assert np.abs(ends[0]["yaw"] - ends[1]["yaw"]).max() > 0.02
+
+
+def test_names_are_the_contracts():
+    assert sorted(CATALOGUE) == sorted(CATALOGUE_OF_THE_CONTRACT.split())
+    assert not set(UNLISTED) & set(CATALOGUE)
+    assert len(UNLISTED) == 8
+
+
+@pytest.mark.parametrize("name", effects.ALL)
+def test_effects_have_three_sizes_and_units(name):
+    kind = effects.ALL[name]
+    assert set(kind.sizes) == {"small", "medium", "large"}
+    assert all(set(values) == set(kind.units) for values in kind.sizes.values())
+    assert set(kind.signed) | set(kind.fixed) <= set(kind.units)
+
+
+def test_every_effect_shows():
+    names = list(effects.ALL)
+    n = len(names) + 1
+    plant = Plant(published(n), effects.build([{}, *map(medium, names)]), lean=bowl)
+    ((_, log),) = _late(plant, run_of(2.2, 2.5, lively(1.0, n), n, pose=(-1.0, 0.5, 0.3)))
+    shown = {
+        name: max(np.abs(log[c][:, i + 1] - log[c][:, 0]).max() / sensors.NOISE[c] for c in sensors.NOISE)
+        for i, name in enumerate(names)
+    }
+    assert not {name: round(ratio, 2) for name, ratio in shown.items() if ratio < 3}
+
+
+def _late(plant: Plant, run: Run):
+    """Drive long after the log began and with a worn battery, for effects that grow with time."""
+    place = plant.place
+
+    def later(pose, speed, t):
+        place(pose, speed, t + 120.0)
+        for effect in plant.effects:
+            if effect.name == "battery_sag":
+                plant.state[effect.rows] = 300.0
+
+    plant.place = later
+    return drive(plant, [run])
+
+
+def test_off_means_off():
+    """Beside cars with effects, a car without drives exactly as it does alone."""
+    names = list(effects.ALL)
+    n = len(names) + 1
+    crowd = Plant(published(n), effects.build([{}, *map(medium, names)]), lean=bowl)
+    run, alone = run_of(0.3, 2.5, lively(1.0, n), n), run_of(0.3, 2.5, lively(1.0, 1))
+    both = log_of(crowd, run), log_of(Plant(published(1)), alone)
+    for name in sensors.CHANNELS:
+        assert np.allclose(both[0][name][:, 0], both[1][name][:, 0], atol=1e-9), name
+
+
+def test_mirrored_drives_give_mirrored_logs():
+    n = len(SYMMETRIC)
+    logs = [
+        log_of(
+            Plant(published(n), effects.build(list(map(medium, SYMMETRIC))), lean=bowl),
+            run_of(1.2, 2.5, lively(sign, n), n, pose=(-1.0, sign * 0.5, sign * 0.3)),
+        )
+        for sign in (1.0, -1.0)
+    ]
+    signs = {name: -1.0 if name in ("y", "yaw", "v_y", "yaw_rate", "delta", "delta_ref") else 1.0
+             for name in sensors.CHANNELS}  # fmt: skip
+    for name, sign in signs.items():
+        assert np.allclose(logs[0][name], sign * logs[1][name], atol=1e-6), name
+
+
+@pytest.mark.parametrize("programme", ["short", "still", "race"])
+def test_logs_keep_the_contract(programme):
+    case = Case("single", (("pose_latency", "medium"), ("wheel_growth", "large")), programme, minutes=0.03)
+    (log,) = simulate([case])
+    assert tuple(log.columns) == ("t", "run", *sensors.CHANNELS)
+    assert np.isfinite(log.to_numpy()).all()
+    for _, run in log.groupby("run"):
+        assert np.allclose(np.diff(run["t"]), 0.01)
+    assert log["t"].is_monotonic_increasing
+
+
+def test_a_log_does_not_depend_on_its_batch():
+    a, b = (Case("clean", (), "short", number=i, minutes=0.02) for i in (1, 2))
+    alone, together = simulate([a])[0], simulate([b, a])[1]
+    assert np.allclose(alone, together)
+
+
+def test_differentiated_velocities_resemble_the_measured():
+    log = log_of(Plant(published(1)), run_of(2.0, 2.0, lively(1.0, 1)))
+    one = {name: values[:, 0] for name, values in log.items()}
+    worked_out = sensors.differentiate(one)
+    for name in ("v_x", "v_y", "yaw_rate"):
+        assert np.abs(worked_out[name] - one[name]).mean() < 0.02, name
+
+
+def test_late_channels_are_late_exactly():
+    late = effects.build([medium("wheel_speed_latency"), {}])
+    late[0].p["latency"][:] = 0.03
+    log = log_of(Plant(published(2), late), run_of(1.0, 2.5, lively(1.0, 2), 2))
+    assert np.allclose(log["omega"][3:, 0], log["omega"][:-3, 1])
+    latencies = [kind.sizes["large"].get("latency", 0.0) for kind in CATALOGUE.values()]
+    assert max(latencies) < PREROLL
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_designs_are_opaque_and_deterministic(name):
+    cases, again = SETS[name](Choice(seed=3)), SETS[name](Choice(seed=3))
+    assert [c.name for c in cases] == [c.name for c in again]
+    assert len({c.name for c in cases}) == len(cases)
+    assert all(re.fullmatch("[0-9a-f]{12}", c.name) for c in cases)
+    assert {c.name for c in SETS[name](Choice(seed=4))}.isdisjoint({c.name for c in cases})
+    assert key(cases[-1])["set"] == name
+
+
+def test_there_are_pairs_enough():
+    assert len(SETS["pairs"](Choice())) >= 30
+    assert len(SETS["single"](Choice())) == len(CATALOGUE) * 3 * 3 * 2
+
+
+def test_plant_knows_nothing_of_racerl():
+    sources = list((Path(__file__).parent / "plant").rglob("*.py"))
+    assert len(sources) > 10
+    for source in sources:
+        for line in source.read_text().splitlines():
+            assert not re.match(r"\s*(from|import)\s+racerl", line), source
+            imported = re.match(r"(?:from|import)\s+(\w+)", line)
+            assert imported is None or imported[1] in ALLOWED, f"{source}: {line}"
+
+
+ALLOWED = {"__future__", "argparse", "collections", "dataclasses", "hashlib", "itertools", "json", "numpy", "pandas",
+           "pathlib", "scipy", "tests", "time", "typing"}  # fmt: skip
