@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from racerl.data.log import Log
 from racerl.gap.evidence import Evidence
-from racerl.gap.problem import Fit, Problem, StageProblem, Unknown
+from racerl.gap.problem import Fit, Problem, StageKernels, StageProblem, Unknown
 from racerl.gap.stage import STAGES
 from racerl.identify.unknowns import Unknowns
 from racerl.vehicle.effects import Effect
@@ -22,7 +22,8 @@ from racerl.vehicle.vehicle import STATE, Vehicle
 Array = NDArray[np.float64]
 Names = frozenset[str]
 SHARE = 0.1  # of a channel's misfit that counts as noise in its weight
-NOMINAL, REFINE = 25, 8  # most iterations of the nominal fit, and of a candidate on the shortlist
+NOMINAL, SCREEN, REFINE = 25, 3, 8  # most iterations of the nominal fit, of screening, of a candidate on the shortlist
+SAMPLED = 3  # every which window screening looks at
 WIDE = 3.0  # deviation of an effect's parameters, in their usual sizes
 
 
@@ -68,6 +69,8 @@ class Investigation:
                 strict=True,
             )
         ]
+        free, any_size = [unknown.name for unknown in self.unknowns], {n: e[0] for n, e in catalogue.items()}
+        self.kernels = {name: StageKernels(each, vehicle, free, any_size) for name, each in self.evidence.items()}
         self.noise = {name: each.noise() for name, each in self.evidence.items()}
         self.sigma = dict(self.noise)
         self.base = self._nominal()
@@ -96,7 +99,11 @@ class Investigation:
         names = list(self.evidence if stages is None else stages)
         unknowns = [*self.unknowns, *(unknown for name in sorted(effects) for unknown in _free(vehicle, name))]
         problem = Problem(
-            [StageProblem.of(self.evidence[n], vehicle, unknowns, self.sigma[n], self.threads) for n in names], unknowns
+            [
+                StageProblem.of(self.evidence[n], self.kernels[n], vehicle, unknowns, self.sigma[n], self.threads)
+                for n in names
+            ],
+            unknowns,
         )
         table = {name: float(value) for name, value in values(vehicle).items()}
         initial = None if start is None else [start.initial[name] for name in names]
@@ -120,26 +127,34 @@ class Investigation:
         found = []
         for name, evidence in self.evidence.items():
             unknowns = [unknown for effect in effects for unknown in _free(vehicle, effect)]
-            if StageProblem.touched(evidence, vehicle, unknowns):
+            if StageProblem.touched(evidence, self.kernels[name], vehicle, unknowns):
                 found.append(name)
         return found
 
-    def refine(self, found: Found) -> Found:
-        """Fit on from where a fit stopped."""
-        return self._fit(found.effects, found.vehicle, found, REFINE, list(found.cost))
+    def screen(self, base: Found, name: str) -> tuple[float, Vehicle] | None:
+        """Add an effect to a fitted vehicle: a few steps from each of its usual sizes, on a share of the windows.
 
-    def screen(self, base: Found, name: str, iterations: int = 2) -> Found | None:
-        """Add an effect to a fitted vehicle, a few steps from each of its usual sizes; None where no stage shows it."""
-        best: Found | None = None
+        Return the gain and the vehicle of the best size; None where no stage shows the effect.
+        """
+        best: tuple[float, Vehicle] | None = None
         for effect in self.catalogue[name]:
             vehicle = replace(base.vehicle, effects={**base.vehicle.effects, name: effect})
             stages = self.touched(vehicle, frozenset([name]))
             if not stages:
                 return None
-            found = self._fit(base.effects | {name}, vehicle, self._start(base, stages), iterations, stages)
-            if best is None or found.fit.total < best.fit.total:
-                best = found
+            some = {stage: np.arange(len(self.evidence[stage].start))[::SAMPLED] for stage in stages}
+            start = self._start(base, stages)
+            found = self._fit(base.effects | {name}, vehicle, start, SCREEN, stages, some)
+            gain = float(sum((self.cost(base, s)[some[s]] - found.cost[s]).sum() for s in stages))
+            if best is None or gain > best[0]:
+                best = gain, found.vehicle
         return best
+
+    def add(self, base: Found, vehicle: Vehicle) -> Found:
+        """Fit a vehicle that has more effects than a fitted one to the end, over the stages that they touch."""
+        more = frozenset(vehicle.effects) - base.effects
+        stages = self.touched(vehicle, more | base.effects)
+        return self._fit(base.effects | more, vehicle, self._start(base, stages), REFINE, stages)
 
     def _start(self, base: Found, stages: Iterable[str]) -> Found:
         missing = {name: self.base.initial[name] for name in stages if name not in base.initial}

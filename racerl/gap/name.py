@@ -58,11 +58,11 @@ def name_effects(
         left = [name for name in investigation.catalogue if name not in decision.chosen]
         for i, name in enumerate(left):
             on_progress(f"round {number + 1}: {name}", (number + i / len(left)) / ROUNDS)
-            found = investigation.screen(current, name)
-            if found is not None:
-                screened.append((investigation.gain(current, found), name, found))
+            outcome = investigation.screen(current, name)
+            if outcome is not None:
+                screened.append((outcome[0], name, outcome[1]))
         screened.sort(key=lambda row: -row[0])
-        refined = [(name, investigation.refine(found)) for _, name, found in screened[:CONTINUED]]
+        refined = [(name, investigation.add(current, vehicle)) for _, name, vehicle in screened[:CONTINUED]]
         gains = [investigation.gain(current, found) for _, found in refined]
         near = sorted(zip(gains, refined, strict=True), key=lambda row: -row[0])[:SHORTLIST]
         scored = [

@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 
 from racerl.gap.evidence import Evidence
 from racerl.gap.follow import follow
+from racerl.gap.presence import inner, only_shifts, with_all
 from racerl.gap.stage import SHIFTS, StageEquations, StageRollout
+from racerl.vehicle.effects import Effect
 from racerl.vehicle.parameter import replace_values, specifications, values
 from racerl.vehicle.rollout import Windows
 from racerl.vehicle.vehicle import STATE, Vehicle
@@ -36,12 +38,60 @@ class Unknown:
     high: float
 
 
+class StageKernel:
+    """One stage of a vehicle with every effect of a catalogue in it, compiled once for any set of them."""
+
+    def __init__(
+        self, evidence: Evidence, vehicle: Vehicle, free: Sequence[str], catalogue: Mapping[str, Effect]
+    ) -> None:
+        everything = evidence.stage.vehicle(with_all(vehicle, catalogue))
+        table = values(everything)
+        inside = [name for name in table if name in free or ".effect." in name]
+        presences = [name for name in table if name.endswith(".presence")]
+        inside = StageEquations(everything, inside, evidence.observed, presences).effective()
+        # what is zero is left out of the kernel, except in effects; anything else may differ from car to car
+        given = [name for name, v in table.items() if name not in inside and (float(v) != 0.0 or "effects." in name)]
+        self.rollout = StageRollout(everything, [*inside, *SHIFTS], evidence.observed, given=given)
+        self.catalogue = catalogue
+
+
+class StageKernels:
+    """The kernels of a stage: one for effects that leave it apart from the other stages, one for all effects."""
+
+    def __init__(
+        self, evidence: Evidence, vehicle: Vehicle, free: Sequence[str], catalogue: Mapping[str, Effect]
+    ) -> None:
+        self._make = lambda effects: StageKernel(evidence, vehicle, free, effects)
+        alone = StageEquations(evidence.stage.vehicle(vehicle), [], evidence.observed).active
+        self.coupling = {
+            name
+            for name, effect in catalogue.items()
+            if not only_shifts(effect) and set(_active(evidence, vehicle, {name: effect})) & set(STATE) - set(alone)
+        }
+        self.catalogue = catalogue
+        self._apart = self._make({name: e for name, e in catalogue.items() if name not in self.coupling})
+        self._all: StageKernel | None = None
+
+    def choose(self, vehicle: Vehicle) -> StageKernel:
+        """Return the kernel that has all the vehicle's effects in it."""
+        if not self.coupling & set(vehicle.effects):
+            return self._apart
+        if self._all is None:
+            self._all = self._make(self.catalogue)
+        return self._all
+
+
+def _active(evidence: Evidence, vehicle: Vehicle, effects: Mapping[str, Effect]) -> list[str]:
+    car = evidence.stage.vehicle(replace(vehicle, effects={**vehicle.effects, **effects}))
+    return StageEquations(car, [], evidence.observed).active
+
+
 @dataclass(frozen=True)
 class StageProblem:
-    """One stage's share of a fit: θ's names that it depends on, its rollout and its windows' noise."""
+    """One stage's share of a fit: θ's names that it depends on, its kernel and its windows' noise."""
 
     evidence: Evidence
-    rollout: StageRollout
+    kernel: StageKernel
     vehicle: Vehicle
     names: tuple[str, ...]  # of θ, in this stage
     sigma: Array  # (C,)
@@ -49,28 +99,39 @@ class StageProblem:
 
     @classmethod
     def of(
-        cls, evidence: Evidence, vehicle: Vehicle, unknowns: Sequence[Unknown], sigma: Array, threads: int
+        cls,
+        evidence: Evidence,
+        kernels: StageKernels,
+        vehicle: Vehicle,
+        unknowns: Sequence[Unknown],
+        sigma: Array,
+        threads: int,
     ) -> "StageProblem":
-        """Choose what matters to the stage: parameters of its rollout, and shifts of its inputs."""
-        stage, wanted = evidence.stage, [unknown.name for unknown in unknowns]
-        driven = stage.vehicle(vehicle)
-        table = values(driven)
-        shifting = [name for name in wanted if _shift_of(evidence, vehicle, name) != (0.0, 0.0)]
-        inside = [name for name in wanted if name in table and name not in shifting]
-        inside = StageEquations(driven, inside, evidence.observed).effective()
-        # what is zero is left out of the kernel; anything else may differ from car to car
-        given = [name for name, value in table.items() if float(value) != 0.0 and name not in inside]
-        rollout = StageRollout(driven, [*inside, *(SHIFTS if shifting else ())], evidence.observed, given=given)
-        return cls(evidence, rollout, vehicle, (*inside, *shifting), sigma, threads)
+        """Choose the unknowns that matter to the stage."""
+        kernel = kernels.choose(vehicle)
+        matter = [u.name for u in unknowns if _matters(evidence, kernel, vehicle, u.name)]
+        return cls(evidence, kernel, vehicle, tuple(matter), sigma, threads)
 
     @staticmethod
-    def touched(evidence: Evidence, vehicle: Vehicle, unknowns: Sequence[Unknown]) -> bool:
+    def touched(evidence: Evidence, kernels: StageKernels, vehicle: Vehicle, unknowns: Sequence[Unknown]) -> bool:
         """Return whether the stage's outcome depends on any of the unknowns."""
-        if any(_shift_of(evidence, vehicle, unknown.name) != (0.0, 0.0) for unknown in unknowns):
-            return True
-        driven = evidence.stage.vehicle(vehicle)
-        inside = [unknown.name for unknown in unknowns if unknown.name in values(driven)]
-        return bool(inside and StageEquations(driven, inside, evidence.observed).effective())
+        kernel = kernels.choose(vehicle)
+        return any(_matters(evidence, kernel, vehicle, unknown.name) for unknown in unknowns)
+
+    @property
+    def rollout(self) -> StageRollout:
+        """Return the kernel's rollout."""
+        return self.kernel.rollout
+
+    def columns(self) -> list[int]:
+        """Return the kernel's unknowns that are needed: parameters, shifts, and initial states that are heard."""
+        names = self.rollout.names
+        asked = [i for i, share in enumerate(np.abs(self.mixing()).sum(axis=1)) if share > 0.0]
+        return asked + [len(names) + i for i, state in enumerate(self.rollout.active) if self.heard(state)]
+
+    def heard(self, state: str) -> bool:
+        """Return whether a state is the car's own, or one of an effect that is present."""
+        return state in STATE or state.split(".")[0] in self.vehicle.effects
 
     def shifts(self, theta: Mapping[str, float]) -> tuple[float, float]:
         """Return the shifts of both inputs, in s."""
@@ -83,8 +144,8 @@ class StageProblem:
         kernel = self.rollout.names
         matrix = np.zeros((len(kernel), len(self.names)))
         for column, name in enumerate(self.names):
-            if name in kernel:
-                matrix[kernel.index(name), column] = 1.0
+            if inner(name) in kernel:
+                matrix[kernel.index(inner(name)), column] = 1.0
             else:
                 for shift, share in zip(SHIFTS, _shift_of(self.evidence, self.vehicle, name), strict=True):
                     matrix[kernel.index(shift), column] = share
@@ -92,8 +153,12 @@ class StageProblem:
 
     def parameters(self, theta: Mapping[str, float]) -> Array:
         """Return the kernel's parameters; its shifts are zero, since the inputs are shifted already."""
-        table = values(_with(self.rollout.vehicle, theta))
+        table = values(self.everything(theta))
         return np.array([0.0 if n in SHIFTS else float(table[n]) for n in [*self.rollout.names, *self.rollout.given]])
+
+    def everything(self, theta: Mapping[str, float]) -> Vehicle:
+        """Return the kernel's vehicle with θ's values."""
+        return self.evidence.stage.vehicle(with_all(_with(self.vehicle, theta), self.kernel.catalogue))
 
     def windows(self, theta: Mapping[str, float]) -> Windows:
         """Return the windows with inputs at θ's shifts and own states settled in the measured motion."""
@@ -102,7 +167,10 @@ class StageProblem:
 
     def own_states(self, theta: Mapping[str, float]) -> Array:
         """Return the effects' own states (S − 8, W) at the windows' starts, led there by the measured motion."""
-        return follow(_with(self.rollout.vehicle, theta), self.evidence)[:, self.evidence.start]
+        car = self.evidence.stage.vehicle(_with(self.vehicle, theta))
+        heard = dict(zip(car.states[len(STATE) :], follow(car, self.evidence)[:, self.evidence.start], strict=True))
+        silent = np.zeros(len(self.evidence.start))
+        return np.array([heard.get(name, silent) for name in self.rollout.vehicle.states[len(STATE) :]])
 
 
 def _with(vehicle: Vehicle, theta: Mapping[str, float]) -> Vehicle:
@@ -110,11 +178,17 @@ def _with(vehicle: Vehicle, theta: Mapping[str, float]) -> Vehicle:
     return replace_values(vehicle, {name: value for name, value in theta.items() if name in known})
 
 
+def _matters(evidence: Evidence, kernel: StageKernel, vehicle: Vehicle, name: str) -> bool:
+    return inner(name) in kernel.rollout.names or _shift_of(evidence, vehicle, name) != (0.0, 0.0)
+
+
 def _shift_of(evidence: Evidence, vehicle: Vehicle, name: str) -> tuple[float, float]:
     """Return by how much one second of a parameter shifts the stage's inputs."""
     if not name.startswith("effects."):
         return 0.0, 0.0
     key = name.split(".")[1]
+    if not only_shifts(vehicle.effects[key]):
+        return 0.0, 0.0
     up, none = (_with(vehicle, {name: size}).effects[key] for size in (1.0, 0.0))
     at_one, at_none = evidence.stage.shifts(up), evidence.stage.shifts(none)
     return at_one[0] - at_none[0], at_one[1] - at_none[1]
@@ -251,12 +325,15 @@ class _Work:
         self.problem, self.index = problem, index
         self.windows = self._cut(theta)
         self.initial = self.windows.initial.copy()
-        if len(self.initial) > len(STATE):
+        if problem.vehicle.states != STATE:
             own = problem.own_states(theta)
             self.initial[len(STATE) :] = own if index is None else own[:, index]
         states = problem.rollout.vehicle.states
-        self.rows = [states.index(name) for name in problem.rollout.active]
-        self.mixing = problem.mixing()
+        self.columns = problem.columns()
+        active = [name for name in problem.rollout.active if problem.heard(name)]
+        self.rows = [states.index(name) for name in active]
+        used = [i for i in self.columns if i < len(problem.rollout.names)]
+        self.mixing = problem.mixing()[used]
         self._shifts = problem.shifts(theta)
         self.rest = self.initial[self.rows]
         self.precision = np.array([self._precision(states[row], self.initial[row]) for row in self.rows])
@@ -283,7 +360,9 @@ class _Work:
             self.windows, self._shifts = self._cut(theta), shifts
         windows = replace(self.windows, initial=self.initial)
         with np.errstate(all="ignore"):
-            parts = self.problem.rollout.accumulate(self.problem.parameters(theta), windows, self.problem.threads)
+            parts = self.problem.rollout.accumulate(
+                self.problem.parameters(theta), windows, self.problem.threads, self.columns
+            )
         P, M = len(self.mixing), self.mixing
         away = (self.initial[self.rows] - self.rest).T  # (W, A)
         H = np.concatenate(

@@ -49,7 +49,7 @@ TEMPLATE = """
 #define A {active}
 #define P {parameters}
 #define F {free}
-#define D (F + A)
+#define DMAX (F + A)
 #define C {observed}
 #define U {inputs}
 typedef real lane[LANES];
@@ -78,33 +78,33 @@ static inline void sight(const lane *restrict x, const lane *restrict p, lane *r
     }}
 }}
 
+/* a sparse matrix's entry of a parameter, added to the column that the parameter has, if it has one */
+#define ADD(target, row, parameter, entry) \\
+    if (slot[parameter] >= 0) \\
+        for (int l = 0; l < LANES; l++) target[row][slot[parameter]][l] += b[entry][l];
+
 /* Z = (dh/dx) X + [dh/dp, 0] */
-static inline void look(const lane *restrict a, const lane *restrict b, lane (*restrict X)[D], lane (*restrict K)[D]) {{
+static inline void look(const lane *restrict a, const lane *restrict b, const int *slot, long D,
+                        lane (*restrict X)[D], lane (*restrict K)[D]) {{
     for (int d = 0; d < D; d++) {{
         #pragma omp simd
         for (int l = 0; l < LANES; l++) {{
 {seen}
         }}
     }}
-    #pragma omp simd
-    for (int l = 0; l < LANES; l++) {{
 {seen_direct}
-    }}
 }}
 
 /* K = (df/dx) X + [df/dp, 0] */
-static inline void spread(const lane *restrict a, const lane *restrict b, lane (*restrict X)[D],
-                          lane (*restrict K)[D]) {{
+static inline void spread(const lane *restrict a, const lane *restrict b, const int *slot, long D,
+                          lane (*restrict X)[D], lane (*restrict K)[D]) {{
     for (int d = 0; d < D; d++) {{
         #pragma omp simd
         for (int l = 0; l < LANES; l++) {{
 {product}
         }}
     }}
-    #pragma omp simd
-    for (int l = 0; l < LANES; l++) {{
 {direct}
-    }}
 }}
 
 static void along(const lane *restrict x, const lane *restrict k, real h, lane *restrict y, int rows) {{
@@ -145,9 +145,15 @@ void simulate(const real *x_0, const real *inputs, const real *parameters, real 
     }}
 }}
 
+/* `slot` (F + A): the column of each parameter and initial state among the D that are asked for, or -1 */
 void accumulate(const real *x_0, const real *inputs, const real *parameters, const real *measured, const real *weight,
-                real *H_out, real *g_out, real *squares, long n, long intervals, long steps, real h) {{
-    static _Thread_local lane X[A][D], Y[A][D], SUM[A][D], K[A][D], Z[C][D], H[D][D], g[D];
+                real *H_out, real *g_out, real *squares, long n, long intervals, long steps, real h,
+                const int *slot, long D) {{
+    static _Thread_local lane X_[A * DMAX], Y_[A * DMAX], SUM_[A * DMAX], K_[A * DMAX], Z_[C * DMAX];
+    static _Thread_local lane H_[DMAX * DMAX], g[DMAX];
+    lane (*X)[D] = (lane (*)[D])X_, (*Y)[D] = (lane (*)[D])Y_, (*SUM)[D] = (lane (*)[D])SUM_;
+    lane (*K)[D] = (lane (*)[D])K_, (*Z)[D] = (lane (*)[D])Z_, (*H)[D] = (lane (*)[D])H_;
+    const size_t X_SIZE = A * D * sizeof(lane);
     for (long first = 0; first < n; first += LANES) {{
         lane x[S], y[S], sum[S], k[S], u[U], p[P + 1], a[{jacobian} + 1], b[{gradient} + 1];
         lane v[C], c_x[{sight_jacobian} + 1], c_p[{sight_gradient} + 1], w[C], m[C], e[C], q[C];
@@ -156,11 +162,12 @@ void accumulate(const real *x_0, const real *inputs, const real *parameters, con
         LOAD(x, x_0, S);
         LOAD(w, weight, C);
         LOAD(p, parameters, P);
-        memset(X, 0, sizeof X); memset(H, 0, sizeof H); memset(g, 0, sizeof g); memset(q, 0, sizeof q);
-        for (int i = 0; i < A; i++) for (int l = 0; l < LANES; l++) X[i][F + i][l] = 1;
+        memset(X, 0, X_SIZE); memset(H, 0, D * D * sizeof(lane)); memset(g, 0, sizeof g); memset(q, 0, sizeof q);
+        for (int i = 0; i < A; i++)
+            if (slot[F + i] >= 0) for (int l = 0; l < LANES; l++) X[i][slot[F + i]][l] = 1;
         for (long t = 0; t <= intervals; t++) {{
             LOAD(m, measured + t * C * n, C);
-            sight(x, p, v, c_x, c_p); look(c_x, c_p, X, Z);
+            sight(x, p, v, c_x, c_p); look(c_x, c_p, slot, D, X, Z);
             for (int c = 0; c < C; c++)
                 for (int l = 0; l < LANES; l++) {{
                     e[c][l] = w[c][l] * (v[c][l] - m[c][l]);
@@ -183,19 +190,19 @@ void accumulate(const real *x_0, const real *inputs, const real *parameters, con
             if (t == intervals) break;
             LOAD(u, inputs + t * U * n, U);
             for (long step = 0; step < steps; step++) {{
-                memcpy(sum, x, sizeof x); memcpy(SUM, X, sizeof X);
-                linearise(x, u, p, k, a, b); spread(a, b, X, K);
+                memcpy(sum, x, sizeof x); memcpy(SUM, X, X_SIZE);
+                linearise(x, u, p, k, a, b); spread(a, b, slot, D, X, K);
                 gather(sum, k, h / 6, S); along(x, k, h / 2, y, S);
                 gather(&SUM[0][0], &K[0][0], h / 6, A * D); along(&X[0][0], &K[0][0], h / 2, &Y[0][0], A * D);
-                linearise(y, u, p, k, a, b); spread(a, b, Y, K);
+                linearise(y, u, p, k, a, b); spread(a, b, slot, D, Y, K);
                 gather(sum, k, h / 3, S); along(x, k, h / 2, y, S);
                 gather(&SUM[0][0], &K[0][0], h / 3, A * D); along(&X[0][0], &K[0][0], h / 2, &Y[0][0], A * D);
-                linearise(y, u, p, k, a, b); spread(a, b, Y, K);
+                linearise(y, u, p, k, a, b); spread(a, b, slot, D, Y, K);
                 gather(sum, k, h / 3, S); along(x, k, h, y, S);
                 gather(&SUM[0][0], &K[0][0], h / 3, A * D); along(&X[0][0], &K[0][0], h, &Y[0][0], A * D);
-                linearise(y, u, p, k, a, b); spread(a, b, Y, K);
+                linearise(y, u, p, k, a, b); spread(a, b, slot, D, Y, K);
                 gather(sum, k, h / 6, S); gather(&SUM[0][0], &K[0][0], h / 6, A * D);
-                memcpy(x, sum, sizeof x); memcpy(X, SUM, sizeof X);
+                memcpy(x, sum, sizeof x); memcpy(X, SUM, X_SIZE);
             }}
         }}
         for (int l = 0; l < LANES && first + l < n; l++) {{
@@ -349,18 +356,26 @@ class Rollout(Equations):
         shown = self.observe(states.unbind(1), table.unbind(0), TORCH)
         return torch.stack(torch.broadcast_tensors(*shown), dim=1).numpy()
 
-    def accumulate(self, parameters: Array, windows: Windows, threads: int = 1) -> NormalEquations:
-        """Return every window's normal equations at parameters (P,) or (P, W) and the windows' initial states."""
+    def accumulate(
+        self, parameters: Array, windows: Windows, threads: int = 1, columns: Sequence[int] | None = None
+    ) -> NormalEquations:
+        """Return every window's normal equations at parameters (P,) or (P, W) and the windows' initial states.
+
+        `columns` are the unknowns asked for, numbers in (names, active); all of them unless given.
+        """
         parameters = _per_window(parameters, windows)
         steps, h = self.steps(windows.dt)
-        intervals, channels, size = len(windows.inputs), len(self.observed), self.size
+        asked = list(range(self.size)) if columns is None else list(columns)
+        intervals, channels, size = len(windows.inputs), len(self.observed), len(asked)
         if self._library is None:
-            return _accumulate_torch(self, parameters, windows, steps, h)
+            return _accumulate_torch(self, parameters, windows, steps, h, asked)
+        slot = np.full(self.size, -1, dtype=np.int32)
+        slot[asked] = np.arange(size)
 
         def run(part: Windows, parameters: Array) -> tuple[Array, Array, Array]:
             out = np.empty((part.count, size, size)), np.empty((part.count, size)), np.empty((part.count, channels))
-            given = [part.initial, part.inputs, parameters, part.measured, part.weight]
-            _call(self._library, "accumulate", [*given, *out], part.count, intervals, steps, h)
+            given = [part.initial, part.inputs, parameters, part.measured, part.weight, *out]
+            _call(self._library, "accumulate", given, part.count, intervals, steps, h, slot)
             return out
 
         parts = _in_chunks(run, windows, parameters, threads)
@@ -388,12 +403,23 @@ def _in_chunks(run: Any, windows: Windows, parameters: Array, threads: int) -> l
         return list(pool.map(lambda chunk: run(*chunk), chunks))
 
 
-def _call(library: Any, name: str, arrays: Sequence[Array], count: int, intervals: int, steps: int, h: float) -> None:
+def _call(
+    library: Any,
+    name: str,
+    arrays: Sequence[Array],
+    count: int,
+    intervals: int,
+    steps: int,
+    h: float,
+    slot: NDArray[np.int32] | None = None,
+) -> None:
     contiguous = [np.ascontiguousarray(array, dtype=np.float64) for array in arrays]
     function = getattr(library, name)
+    asked = [] if slot is None else [slot.ctypes.data, int(slot.max()) + 1]
     function.restype = None
     function.argtypes = [ctypes.c_void_p] * len(arrays) + [ctypes.c_long] * 3 + [ctypes.c_double]
-    function(*(array.ctypes.data for array in contiguous), count, intervals, steps, h)
+    function.argtypes += [ctypes.c_void_p, ctypes.c_long][: len(asked)]
+    function(*(array.ctypes.data for array in contiguous), count, intervals, steps, h, *asked)
 
 
 def _symbols(rollout: Equations) -> tuple[Any, Any, Any, Any, Any]:
@@ -508,7 +534,7 @@ def _product(target: str, matrix: Any) -> str:
 def _direct(target: str, matrix: Any) -> str:
     """Return C that adds a sparse matrix, whose entries are in `b`, to the columns of the parameters."""
     return "\n".join(
-        f"        {target}[{i}][{j}][l] += b[{index}][l];"
+        f"    ADD({target}, {i}, {j}, {index})"
         for index, (i, j) in enumerate(zip(*matrix.sparsity().get_triplet(), strict=True))
     )
 
@@ -542,7 +568,9 @@ def roll_out(vehicle: Any, initial: torch.Tensor, inputs: torch.Tensor, steps: i
     return torch.stack(states)
 
 
-def _accumulate_torch(rollout: Rollout, parameters: Array, windows: Windows, steps: int, h: float) -> NormalEquations:
+def _accumulate_torch(
+    rollout: Rollout, parameters: Array, windows: Windows, steps: int, h: float, asked: Sequence[int]
+) -> NormalEquations:
     """Form the normal equations by forward-mode differentiation, one unknown at a time."""
     active, free = [rollout.vehicle.states.index(name) for name in rollout.active], len(rollout.names)
     table, initial = torch.as_tensor(np.array(parameters)), torch.as_tensor(windows.initial)
@@ -556,9 +584,9 @@ def _accumulate_torch(rollout: Rollout, parameters: Array, windows: Windows, ste
         return weight * (torch.stack(shown, dim=1) - measured)
 
     theta = table[:free]
-    unknowns = torch.eye(rollout.size, dtype=theta.dtype)
+    unknowns = torch.eye(rollout.size, dtype=theta.dtype)[list(asked)]
     d_theta = unknowns[:, :free, None].expand(-1, -1, windows.count)
-    d_initial = torch.zeros(rollout.size, *initial.shape, dtype=theta.dtype)
+    d_initial = torch.zeros(len(unknowns), *initial.shape, dtype=theta.dtype)
     d_initial[:, active] = unknowns[:, free:, None]
 
     def along(d_theta: torch.Tensor, d_initial: torch.Tensor) -> torch.Tensor:

@@ -5,15 +5,19 @@ import shutil
 
 import numpy as np
 import pytest
+import torch
 
 from racerl.gap.evidence import Evidence
 from racerl.gap.follow import follow
 from racerl.gap.name import name_effects
-from racerl.gap.problem import StageProblem, Unknown
+from racerl.gap.presence import with_all
+from racerl.gap.problem import StageKernels, StageProblem, Unknown
 from racerl.gap.stage import STAGES
+from racerl.vehicle.ops import TORCH
+from racerl.vehicle.parameter import values
 from racerl.vehicle.rollout import Windows
 from tests.gap.conftest import investigate
-from tests.vehicle.conftest import make_car
+from tests.vehicle.conftest import make_car, random_states
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler on this machine")
 STEERING, DRIVE, CHASSIS = STAGES
@@ -97,10 +101,11 @@ def test_gradients_of_a_stage_are_those_of_its_cost(clean, stage, effect, names)
     car = make_car("vehicle=published", f"+vehicle/effect={effect}")
     evidence = Evidence.of([clean], stage, 40, 0.8)
     evidence = dataclasses.replace(evidence, start=evidence.start[:60:6], run=evidence.run[:60:6])
-    table = {name: float(value) for name, value in _values(car).items()}
+    table = {name: float(value) for name, value in values(car).items()}
     unknowns = [Unknown(name, table[name], 1.0, -10.0, 100.0) for name in names]
     sigma = np.full(len(evidence.observed), 0.01)
-    problem = StageProblem.of(evidence, car, unknowns, sigma, 1)
+    kernels = StageKernels(evidence, make_car("vehicle=published"), names, dict(car.effects))
+    problem = StageProblem.of(evidence, kernels, car, unknowns, sigma, 1)
     assert set(problem.names) == set(names)
 
     def parts(theta):
@@ -117,10 +122,15 @@ def test_gradients_of_a_stage_are_those_of_its_cost(clean, stage, effect, names)
         assert got == pytest.approx((up - down) / (4 * step), rel=0.15 if name.endswith("latency") else 1e-3)
 
 
-def _values(car):
-    from racerl.vehicle.parameter import values
-
-    return values(car)
+def test_an_absent_effect_changes_nothing_and_a_present_one_all(clean):
+    catalogue = {name: make_car(f"+vehicle/effect={name}").effects[name] for name in ("aero_drag", "tyre_relaxation")}
+    plain = make_car("vehicle=published")
+    dragged = dataclasses.replace(plain, effects={"aero_drag": catalogue["aero_drag"]})
+    state, command = random_states(plain, 50)
+    full = torch.cat([state, torch.zeros(2, 50, dtype=torch.float64)])
+    for car in (plain, dragged):
+        got = with_all(car, catalogue).derivative(full, command, TORCH)[:8]
+        assert torch.allclose(got, car.derivative(state, command, TORCH), rtol=1e-12, atol=1e-12)
 
 
 @needs_compiler

@@ -12,21 +12,22 @@ from racerl.vehicle import effects
 from racerl.vehicle.vehicle import Vehicle
 
 EFFECTS = registry.choices(effects)
-KINDS = [
-    "sim=default",
-    "sim=no_actuators",
-    "sim=motor_current",
-    *(f"+vehicle/effect={name}" for name in EFFECTS),
-    f"+vehicle/effect=[{','.join(EFFECTS)}]",
-]
+ALL = f"+vehicle/effect=[{','.join(EFFECTS)}]"
+DRIVES = ["sim=default", "sim=no_actuators", "sim=motor_current"]
 
 
 def make_car(*overrides: str) -> Vehicle:
     return build_vehicle(compose_settings("train", overrides))
 
 
-@pytest.fixture(scope="session", params=KINDS)
+@pytest.fixture(scope="session", params=[*DRIVES, *(f"+vehicle/effect={name}" for name in EFFECTS), ALL])
 def any_car(request: pytest.FixtureRequest) -> Vehicle:
+    return make_car(request.param)
+
+
+@pytest.fixture(scope="session", params=[*DRIVES, "+vehicle/effect=tyre_relaxation", ALL])
+def built_car(request: pytest.FixtureRequest) -> Vehicle:
+    """Every kind of car that takes a compiler seconds to build."""
     return make_car(request.param)
 
 

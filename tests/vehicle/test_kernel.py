@@ -31,16 +31,16 @@ def tables(car, names, count, seed=0):
 
 @needs_compiler
 @pytest.mark.parametrize("count", [1, 15, 16, 17, 400])
-def test_kernel_follows_torch_for_100_steps(any_car, count):
-    names = [name for name in NAMES if name in values(any_car)]
-    step = 0.001 if hasattr(any_car.drive, "current_limit") else 0.01
-    compiled = choose_motion(any_car, names, step, 1, CPU, torch.float32)
+def test_kernel_follows_torch_for_100_steps(built_car, count):
+    names = [name for name in NAMES if name in values(built_car)]
+    step = 0.001 if hasattr(built_car.drive, "current_limit") else 0.01
+    compiled = choose_motion(built_car, names, step, 1, CPU, torch.float32)
     assert isinstance(compiled, CompiledMotion)
-    exact = TorchMotion(any_car, names, step, 1)
-    state, command = random_states(any_car, count, seed=count)
+    exact = TorchMotion(built_car, names, step, 1)
+    state, command = random_states(built_car, count, seed=count)
     command = 0.5 * command
     state[3], state[7] = 3.0 + state[4], 3.0 + state[4]
-    table = tables(any_car, names, count)
+    table = tables(built_car, names, count)
     got = state.float()
     for _ in range(100):
         state, got = exact(state, command, table.double()), compiled(got, command.float(), table)
@@ -49,16 +49,16 @@ def test_kernel_follows_torch_for_100_steps(any_car, count):
 
 
 @needs_compiler
-def test_gradients_follow_torch(any_car):
-    names = [name for name in NAMES if name in values(any_car)]
-    step = 0.001 if hasattr(any_car.drive, "current_limit") else 0.01
-    compiled = choose_motion(any_car, names, step, 5, CPU, torch.float32)
-    exact = TorchMotion(any_car, names, step, 5)
-    state, command = random_states(any_car, 37, seed=3)
+def test_gradients_follow_torch(built_car):
+    names = [name for name in NAMES if name in values(built_car)]
+    step = 0.001 if hasattr(built_car.drive, "current_limit") else 0.01
+    compiled = choose_motion(built_car, names, step, 5, CPU, torch.float32)
+    exact = TorchMotion(built_car, names, step, 5)
+    state, command = random_states(built_car, 37, seed=3)
     direction = torch.randn(state.shape, generator=torch.Generator().manual_seed(1))
 
     def pulled(motion, dtype):
-        inputs = [t.to(dtype).requires_grad_() for t in (state, 0.5 * command, tables(any_car, names, 37))]
+        inputs = [t.to(dtype).requires_grad_() for t in (state, 0.5 * command, tables(built_car, names, 37))]
         return torch.autograd.grad((motion(*inputs) * direction.to(dtype)).sum(), inputs)
 
     for got, expected in zip(pulled(compiled, torch.float32), pulled(exact, torch.float64), strict=True):
@@ -75,10 +75,10 @@ static const struct { int x; } blockIdx = {0}, threadIdx = {0}, blockDim = {1}, 
 
 
 @pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler on this machine")
-def test_the_source_for_cuda_computes_the_same(any_car, tmp_path):
-    names = [name for name in NAMES if name in values(any_car)]
-    step = 0.001 if hasattr(any_car.drive, "current_limit") else 0.01
-    (tmp_path / "kernel.cpp").write_text(EMULATION + kernel.source(any_car, names, step, 5))
+def test_the_source_for_cuda_computes_the_same(built_car, tmp_path):
+    names = [name for name in NAMES if name in values(built_car)]
+    step = 0.001 if hasattr(built_car.drive, "current_limit") else 0.01
+    (tmp_path / "kernel.cpp").write_text(EMULATION + kernel.source(built_car, names, step, 5))
     command = ["g++", "-O1", "-shared", "-fPIC", "kernel.cpp", "-o", "kernel.so"]
     subprocess.run(command, cwd=tmp_path, check=True)
     library = ctypes.CDLL(str(tmp_path / "kernel.so"))
@@ -86,7 +86,7 @@ def test_the_source_for_cuda_computes_the_same(any_car, tmp_path):
     def launch(name, tables, count):
         getattr(library, name)(*(ctypes.c_void_p(table.data_ptr()) for table in tables), count)
 
-    deviation = kernel._deviation(CompiledMotion(launch), TorchMotion(any_car, names, step, 5), CPU)
+    deviation = kernel._deviation(CompiledMotion(launch), TorchMotion(built_car, names, step, 5), CPU)
     assert deviation < kernel.TOLERANCE
 
 
@@ -150,12 +150,12 @@ def test_other_devices_and_precisions_run_on_torch(car):
 
 
 @pytest.mark.gpu
-def test_the_kernel_on_a_gpu_is_the_one_on_the_cpu(any_car):
-    names = [name for name in NAMES if name in values(any_car)]
-    step = 0.001 if hasattr(any_car.drive, "current_limit") else 0.01
-    motions = [choose_motion(any_car, names, step, 5, torch.device(kind), torch.float32) for kind in ("cpu", "cuda")]
+def test_the_kernel_on_a_gpu_is_the_one_on_the_cpu(built_car):
+    names = [name for name in NAMES if name in values(built_car)]
+    step = 0.001 if hasattr(built_car.drive, "current_limit") else 0.01
+    motions = [choose_motion(built_car, names, step, 5, torch.device(kind), torch.float32) for kind in ("cpu", "cuda")]
     assert [motion.name for motion in motions] == ["compiled", "compiled"]
-    state, command = random_states(any_car, 1000, seed=5)
-    inputs = [tensor.float() for tensor in (state, 0.5 * command, tables(any_car, names, 1000))]
+    state, command = random_states(built_car, 1000, seed=5)
+    inputs = [tensor.float() for tensor in (state, 0.5 * command, tables(built_car, names, 1000))]
     on_cpu, on_gpu = motions[0](*inputs), motions[1](*(tensor.cuda() for tensor in inputs)).cpu()
     assert ((on_gpu - on_cpu).abs() / (1.0 + on_cpu.abs())).max() < 1e-4

@@ -39,26 +39,26 @@ def without_compiler(car, names, observed, monkeypatch):
 
 
 @needs_compiler
-def test_compiled_rollouts_are_torchs(any_car):
-    names = [name for name in NAMES if name in values(any_car)]
-    windows = windows_for(any_car, length=20, dt=0.001 if hasattr(any_car.drive, "current_limit") else 0.01)
-    compiled = Rollout(any_car, names, OBSERVED)
+def test_compiled_rollouts_are_torchs(built_car):
+    names = [name for name in NAMES if name in values(built_car)]
+    windows = windows_for(built_car, length=20, dt=0.001 if hasattr(built_car.drive, "current_limit") else 0.01)
+    compiled = Rollout(built_car, names, OBSERVED)
     theta = compiled.nominal() * 1.1
-    car = replace_values(any_car, dict(zip(names, theta, strict=True)))
+    car = replace_values(built_car, dict(zip(names, theta, strict=True)))
     expected = roll_out(car, torch.as_tensor(windows.initial), torch.as_tensor(windows.inputs), 1, windows.dt).numpy()
-    rows = [any_car.states.index(name) for name in compiled.active]
+    rows = [built_car.states.index(name) for name in compiled.active]
     got, expected = compiled.simulate(theta, windows)[:, rows], expected[:, rows]
     assert np.abs((got - expected) / (1 + np.abs(expected))).max() < 1e-10
 
 
 @needs_compiler
-def test_normal_equations_are_the_residuals_derivatives(any_car):
+def test_normal_equations_are_the_residuals_derivatives(built_car):
     """H = JᵀJ and g = Jᵀe with the Jacobian by central differences of the simulated residuals."""
-    names = [name for name in NAMES if name in values(any_car)]
-    windows = windows_for(any_car, count=3, dt=0.001 if hasattr(any_car.drive, "current_limit") else 0.01)
-    rollout = Rollout(any_car, names, OBSERVED)
+    names = [name for name in NAMES if name in values(built_car)]
+    windows = windows_for(built_car, count=3, dt=0.001 if hasattr(built_car.drive, "current_limit") else 0.01)
+    rollout = Rollout(built_car, names, OBSERVED)
     theta = rollout.nominal()
-    states = any_car.states
+    states = built_car.states
 
     def residual(theta, initial):
         moved = dataclasses.replace(windows, initial=initial)
