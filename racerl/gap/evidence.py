@@ -125,8 +125,18 @@ class Evidence:
                 slopes[begin:end] = savgol_filter(part, SLOPE, 2, deriv=1, delta=self.dt, mode="interp")
         return values, slopes
 
+    def trust(self, name: str) -> float:
+        """Return how precisely a window's initial state is known from its measurement, in 1/σ².
+
+        Zero for outputs, whose first sample is among the residuals, and for what was not measured.
+        """
+        return 0.0 if name in self.stage.outputs or name not in self.columns else float(self._noise([name])[0]) ** -2
+
     def noise(self) -> Array:
         """Return the standard deviation of each output's noise, (C,): what local polynomials do not follow."""
+        return self._noise(self.observed)
+
+    def _noise(self, names: Sequence[str]) -> Array:
         begins = np.unique(self.first)
         sizes = self.last[begins] + 1 - begins
         deviation = [
@@ -136,7 +146,7 @@ class Evidence:
                     weights=sizes,
                 )
             )
-            for name in self.observed
+            for name in names
         ]
         return np.maximum(np.array(deviation), 1e-9)
 

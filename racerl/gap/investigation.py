@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from racerl.data.log import Log
 from racerl.gap.evidence import Evidence
-from racerl.gap.problem import Fit, Problem, StageKernels, StageProblem, Unknown
+from racerl.gap.problem import Fit, Problem, Score, StageKernels, StageProblem, Unknown, merged, score
 from racerl.gap.stage import STAGES
 from racerl.identify.unknowns import Unknowns
 from racerl.vehicle.effects import Effect
@@ -131,10 +131,10 @@ class Investigation:
                 found.append(name)
         return found
 
-    def screen(self, base: Found, name: str) -> tuple[float, Vehicle] | None:
+    def screen(self, base: Found, name: str) -> Vehicle | None:
         """Add an effect to a fitted vehicle: a few steps from each of its usual sizes, on a share of the windows.
 
-        Return the gain and the vehicle of the best size; None where no stage shows the effect.
+        Return the vehicle of the best size; None where no stage shows the effect.
         """
         best: tuple[float, Vehicle] | None = None
         for effect in self.catalogue[name]:
@@ -148,7 +148,27 @@ class Investigation:
             gain = float(sum((self.cost(base, s)[some[s]] - found.cost[s]).sum() for s in stages))
             if best is None or gain > best[0]:
                 best = gain, found.vehicle
-        return best
+        return None if best is None else best[1]
+
+    def score(self, base: Found) -> Score:
+        """Return the score of every effect that a fitted vehicle lacks, summed over the stages."""
+        total: Score | None = None
+        start = self._start(base, self.evidence)
+        for name, evidence in self.evidence.items():
+            unknowns = [*self.unknowns, *(u for effect in sorted(base.effects) for u in _free(base.vehicle, effect))]
+            problem = StageProblem.of(
+                evidence, self.kernels[name], base.vehicle, unknowns, self.sigma[name], self.threads
+            )
+            found = score(problem, base.theta, self._padded(start.initial[name], problem))
+            total = found if total is None else merged(total, found)
+        assert total is not None  # noqa: S101
+        return total
+
+    def _padded(self, initial: Array, problem: StageProblem) -> Array:
+        states = len(problem.rollout.vehicle.states)
+        padded = np.zeros((states, initial.shape[1]))
+        padded[: len(initial)] = initial[:states]
+        return padded
 
     def add(self, base: Found, vehicle: Vehicle) -> Found:
         """Fit a vehicle that has more effects than a fitted one to the end, over the stages that they touch."""

@@ -1,4 +1,4 @@
-"""Naming the missing effect: screen the catalogue, refit the shortlist, decide on runs that no fit has seen.
+"""Naming the missing effect: score the catalogue, refit the shortlist, decide on runs that no fit has seen.
 
 Round by round the effect that helps most on held-out windows is added, until none helps significantly. Effects that the
 data can't tell from the best one are its rivals: those whose held-out costs are not significantly worse.
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from racerl.gap.investigation import Found, Investigation
 
 Array = NDArray[np.float64]
-CONTINUED, SHORTLIST = 12, 6  # candidates that are fitted to the end, and that are judged on held-out runs
+CONTINUED, SHORTLIST = 8, 5  # candidates that are fitted to the end, and that are judged on held-out runs
 CLOSE = 0.3  # of the best gain, below which a candidate is no rival
 ROUNDS = 3
 RESAMPLES = 2000
@@ -54,15 +54,14 @@ def name_effects(
     current_cost = investigation.held_out(current)
     decision = Decision([], current, [], excess=[excess(investigation, current_cost)])
     for number in range(ROUNDS):
-        screened = []
-        left = [name for name in investigation.catalogue if name not in decision.chosen]
-        for i, name in enumerate(left):
-            on_progress(f"round {number + 1}: {name}", (number + i / len(left)) / ROUNDS)
-            outcome = investigation.screen(current, name)
-            if outcome is not None:
-                screened.append((outcome[0], name, outcome[1]))
-        screened.sort(key=lambda row: -row[0])
-        refined = [(name, investigation.add(current, vehicle)) for _, name, vehicle in screened[:CONTINUED]]
+        score = investigation.score(current).gains()
+        hopeful = sorted((name for name in score if name not in decision.chosen), key=lambda name: -score[name])
+        refined = []
+        for i, name in enumerate(hopeful[:CONTINUED]):
+            on_progress(f"round {number + 1}: {name}", (number + i / CONTINUED) / ROUNDS)
+            vehicle = investigation.screen(current, name)
+            if vehicle is not None:
+                refined.append((name, investigation.add(current, vehicle)))
         gains = [investigation.gain(current, found) for _, found in refined]
         near = sorted(zip(gains, refined, strict=True), key=lambda row: -row[0])[:SHORTLIST]
         scored = [

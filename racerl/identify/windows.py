@@ -119,7 +119,7 @@ def _cut_runs(
             if not len(starts):
                 continue
             index = starts + np.arange(length + 1)[:, None]
-            column = {name: rows[name].to_numpy()[index] for name in log.channels}
+            column = {name: rows[name].to_numpy()[index] for name in ("t", *log.channels)}
             inputs = np.stack([column[name][:-1] for name in (wiring.steering, wiring.drive)], axis=1)
             measured = np.stack([column[name] for name in wiring.observed], axis=1)
             yield (
@@ -137,6 +137,9 @@ def _initial(vehicle: Vehicle, column: dict[str, Array], wiring: Wiring, count: 
     for i, name in enumerate(STATE):
         if name in column:
             state[i] = column[name][0]
+    for i, name in enumerate(vehicle.states):
+        if name.endswith(".clock"):  # effects over time begin with the log's own time
+            state[i] = column["t"][0]
     for (name, _), channel in zip(ACTUATORS, (wiring.steering, wiring.drive), strict=True):
         if name not in column:
             state[STATE.index(name)] = column[channel][0]

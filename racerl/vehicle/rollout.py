@@ -468,9 +468,8 @@ def settle(vehicle: Vehicle, windows: Windows) -> None:
     rates = casadi.Function("rates", [x, u], [f[own], casadi.jacobian(f[own], x[own])]).map(count)
     f_own, f_xx = (np.asarray(part) for part in rates(windows.initial, windows.inputs[0, :2]))
     blocks = f_xx.reshape(len(f_own), count, len(f_own)).transpose(1, 0, 2)
-    solvable = np.abs(np.linalg.det(blocks)) > 1e-9
-    step = np.linalg.solve(blocks[solvable], f_own.T[solvable][:, :, None])[:, :, 0]
-    windows.initial[own, solvable] -= step.T
+    step = np.linalg.pinv(blocks, rcond=1e-9) @ f_own.T[:, :, None]
+    windows.initial[own] -= step[:, :, 0].T
 
 
 def _active(rollout: Equations) -> list[str]:

@@ -144,3 +144,19 @@ def test_a_hidden_effect_is_named_and_measured(damped):
 @needs_compiler
 def test_nothing_is_named_on_a_clean_log(clean):
     assert name_effects(investigate(clean, "yaw_damping", "aero_drag", "steering_delay"), 0).chosen == []
+
+
+@needs_compiler
+def test_one_pass_over_the_catalogue_puts_the_hidden_effect_first(damped):
+    names = ("yaw_damping", "locked_differential", "steering_gain", "aero_drag", "pose_latency", "steering_delay")
+    investigation = investigate(damped, *names)
+    score = investigation.score(investigation.base)
+    gains = score.gains()
+    assert max(gains, key=gains.get) == "yaw_damping" and gains["yaw_damping"] > 1.2 * gains["locked_differential"]
+    assert gains["steering_delay"] < 50.0  # a χ² of one degree of freedom, on residuals that are not quite white
+    cosines = score.cosines()
+    assert np.allclose(np.diag(cosines), 1.0) and np.abs(cosines).max() <= 1.0 + 1e-9
+    damping, spool, delay = (
+        score.names.index(name) for name in ("yaw_damping", "locked_differential", "steering_delay")
+    )
+    assert abs(cosines[damping, spool]) > 0.5 and abs(cosines[damping, delay]) < 0.05

@@ -92,3 +92,16 @@ def test_copies_of_runs_are_left_out():
     kept, said = separate([log, drive()])
     assert len(kept) == 1 and "3 runs are copies" in said[0]
     assert separate([log]) == ([log], [])
+
+
+def test_effects_over_time_begin_with_the_logs_time_and_lags_where_they_rest():
+    car = make_car("+vehicle/effect=[friction_fade,tyre_relaxation]")
+    log = drive()
+    wiring = choose_wiring([log])
+    windows = cut([log], wiring, wiring.driven(car), 50, 10, 0.0)
+    clock, lag = car.states.index("friction_fade.clock"), car.states.index("tyre_relaxation.alpha_r")
+    first = {run: log.table["t"][log.table["run"] == run].iloc[0] for run in (0, 1)}
+    begun = np.array([first[run] for run in windows.run.tolist()]) + 0.01 * windows.start
+    assert np.allclose(windows.windows.initial[clock], begun)
+    v_x, v_y, r = windows.windows.initial[3:6]
+    assert np.allclose(windows.windows.initial[lag], -(v_y - car.l_r * r) / v_x)
