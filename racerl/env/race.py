@@ -217,7 +217,8 @@ class Race(Rows):
         clamped = torch.nan_to_num(action.to(self.dtype)).clamp(-1.0, 1.0)
         self.command = self.action.command(clamped, last, self.timing.dt)
         self.command_rate = (self.command[1] - last[1]) / self.timing.dt
-        self.history = torch.cat([self.command[None], self.history])[: len(self.history)]
+        if len(self.history):
+            self.history = torch.cat([self.command[None], self.history[:-1]])
 
     def _drive(self) -> Tensor:
         """Return the states after one control period."""
@@ -227,8 +228,8 @@ class Race(Rows):
         delays = replace_values(self.vehicle, drawn).delays()
         state, step = self.state, self.timing.step
         for number in range(self.timing.substeps):
-            command = delayed(self.history, delays, number * step, step, self.timing.dt, TORCH)
-            state = self.motion(state, command, self.draws.values)
+            acting = delayed(self.history.unbind(0), delays, number * step, step, self.timing.dt, TORCH)
+            state = self.motion(state, torch.stack(acting), self.draws.values)
         return state
 
     def _move(self) -> tuple[Tensor, Tensor]:
@@ -279,7 +280,8 @@ class Race(Rows):
         self.state = self.state.index_copy(1, cars, state)
         self.command = self.command.index_copy(1, cars, command)
         self.command_rate = self.command_rate.index_fill(0, cars, 0.0)
-        self.history = self.history.index_copy(2, cars, command.expand(len(self.history), -1, -1))
+        if len(self.history):
+            self.history = self.history.index_copy(2, cars, command.expand(len(self.history), -1, -1))
         self.still_time = self.still_time.index_fill(0, cars, 0.0)
         self.age = self.age.index_fill(0, cars, 0)
         self.s, self.n = self.s.index_copy(0, cars, foot.s), self.n.index_copy(0, cars, foot.n)

@@ -16,10 +16,10 @@ from racerl.errors import RunError
 from racerl.record.drivers import Drive, Measured, Pose, Scene
 from racerl.record.sensors import Sensors
 from racerl.vehicle.actuator import MotorCurrent
-from racerl.vehicle.delay import held, periods
+from racerl.vehicle.delay import delayed, periods
 from racerl.vehicle.integrate import advance
 from racerl.vehicle.ops import TORCH, CasadiOps
-from racerl.vehicle.vehicle import COMMAND, STATE, Vehicle
+from racerl.vehicle.vehicle import STATE, Vehicle
 
 Array = NDArray[np.float64]
 SPEED_GAIN = 40.0  # A per m/s of wheel speed error, where the car takes currents
@@ -40,7 +40,7 @@ class Plant:
         self._connect(casadi.Function("advance", [state, command], [after]))
         self.state[:3] = pose
         self._dt, self._delays = dt, vehicle.delays()
-        self._history = [np.zeros(2)] * (periods(vehicle, dt) + 1)
+        self._history = [(0.0, 0.0)] * (periods(vehicle, dt) + 1)
 
     def _connect(self, function: Any) -> None:
         """Let the function read and write the arrays in place."""
@@ -51,10 +51,10 @@ class Plant:
 
     def advance(self, delta_ref: float, drive_ref: float) -> None:
         """Hold a command for one control period."""
-        self._history = [np.array([delta_ref, drive_ref]), *self._history[:-1]]
-        for i, name in enumerate(COMMAND):
-            past = [command[i] for command in self._history]
-            self._command[i] = held(past, self._delays.get(name, 0.0), 0.0, self._dt, self._dt, TORCH)
+        self._command[0], self._command[1] = delta_ref, drive_ref
+        if self._delays:
+            self._history = [(delta_ref, drive_ref), *self._history[:-1]]
+            self._command[:] = delayed(self._history, self._delays, 0.0, self._dt, self._dt, TORCH)
         self._evaluate()
         self.state[:] = self._after
 

@@ -125,7 +125,7 @@ void lookup(const float *const *tables, long rows, long count, float spacing, co
 class TrackKernel:
     """The compiled functions."""
 
-    library: Any
+    compiled: Any
 
     def project(
         self, cells: Tensor, x: Tensor, y: Tensor, s_last: Tensor, spacing: float, reach: int
@@ -133,7 +133,7 @@ class TrackKernel:
         """Return s, n and the centreline's yaw, each (N,)."""
         x, y, s_last = x.contiguous(), y.contiguous(), s_last.to(x.dtype).contiguous()
         s, n, yaw = torch.empty_like(x), torch.empty_like(x), torch.empty_like(x)
-        self.library.project(
+        self.compiled.project(
             cells.data_ptr(),
             len(cells),
             spacing,
@@ -148,7 +148,7 @@ class TrackKernel:
         s, n = s.to(cells.dtype).contiguous(), n.to(cells.dtype).contiguous()
         x, y, yaw = torch.empty_like(s), torch.empty_like(s), torch.empty_like(s)
         pointers = (t.data_ptr() for t in (s, n, x, y, yaw))
-        self.library.position(cells.data_ptr(), len(cells), spacing, *pointers, s.numel())
+        self.compiled.position(cells.data_ptr(), len(cells), spacing, *pointers, s.numel())
         return x, y, yaw
 
     def lookup(self, tables: Sequence[Tensor], s: Tensor, spacing: float) -> list[Tensor]:
@@ -156,7 +156,7 @@ class TrackKernel:
         s = s.to(tables[0].dtype).contiguous()
         out = torch.empty((len(tables), *s.shape), dtype=s.dtype)
         rows = (ctypes.c_void_p * len(tables))(*(table.data_ptr() for table in tables))
-        self.library.lookup(rows, len(tables), len(tables[0]), spacing, s.data_ptr(), out.data_ptr(), s.numel())
+        self.compiled.lookup(rows, len(tables), len(tables[0]), spacing, s.data_ptr(), out.data_ptr(), s.numel())
         return list(out.unbind())
 
 

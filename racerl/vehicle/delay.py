@@ -5,9 +5,7 @@ actuator sees the mean of the held commands over [a − T, a − T + h]; T need 
 """
 
 from collections.abc import Mapping, Sequence
-
-import torch
-from torch import Tensor
+from typing import Any
 
 from racerl.vehicle.ops import Ops, Scalar
 from racerl.vehicle.vehicle import COMMAND, Vehicle
@@ -35,11 +33,12 @@ def periods(vehicle: Vehicle, period: float) -> int:
 
 
 def delayed(
-    history: Tensor, delays: Mapping[str, Scalar], begin: float, length: float, period: float, ops: Ops
-) -> Tensor:
-    """Return the commands (2, N) that act over a step, from past ones (K, 2, N), newest first."""
-    rows = [
-        held(history[:, i].unbind(0), delays[name], begin, length, period, ops) if name in delays else history[0, i]
+    history: Sequence[Any], delays: Mapping[str, Scalar], begin: float, length: float, period: float, ops: Ops
+) -> list[Scalar]:
+    """Return both commands that act over a step, from past pairs of them, newest first."""
+    return [
+        held([past[i] for past in history], delays[name], begin, length, period, ops)
+        if name in delays
+        else history[0][i]
         for i, name in enumerate(COMMAND)
     ]
-    return torch.stack(rows)

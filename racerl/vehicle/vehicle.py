@@ -120,6 +120,11 @@ class Vehicle:
     effects: Mapping[str, Effect] = field(default_factory=dict)
 
     @property
+    def weight(self) -> Scalar:
+        """Weight in N."""
+        return self.mass * GRAVITY
+
+    @property
     def arm(self) -> Scalar:
         """Distance of the centre of gravity from the front axle in m, with the effects that move it."""
         l_f = self.l_f
@@ -195,16 +200,19 @@ class Vehicle:
         F_xr, F_yr = self.rear.forces(slips.kappa_r, slips.alpha_r, F_zr, friction[1], ops)
         return Forces(F_xf, F_yf, F_xr, F_yr, F_zf, F_zr)
 
-    def wrench(self, forces: Forces, motion: Motion, ops: Ops) -> Wrench:
-        """Return what tyres, drag and effects do to the body."""
+    def tyre_wrench(self, forces: Forces, motion: Motion, ops: Ops) -> Wrench:
+        """Return what the tyres do to the body."""
         F_xf, F_yf, F_xr, F_yr, _, _ = forces
         sin_delta, cos_delta = ops.sin(motion.delta), ops.cos(motion.delta)
         lateral_f = F_xf * sin_delta + F_yf * cos_delta
-        wrench = Wrench(
-            F_xf * cos_delta - F_yf * sin_delta + F_xr - self.drag(motion.v_x, ops),
-            lateral_f + F_yr,
-            self.arm * lateral_f - self.l_r * F_yr,
+        return Wrench(
+            F_xf * cos_delta - F_yf * sin_delta + F_xr, lateral_f + F_yr, self.arm * lateral_f - self.l_r * F_yr
         )
+
+    def wrench(self, forces: Forces, motion: Motion, ops: Ops) -> Wrench:
+        """Return what tyres, drag and effects do to the body."""
+        wrench = self.tyre_wrench(forces, motion, ops)
+        wrench = wrench._replace(F_x=wrench.F_x - self.drag(motion.v_x, ops))
         for effect in self.effects.values():
             wrench = effect.wrench(wrench, forces, motion, ops)
         return wrench

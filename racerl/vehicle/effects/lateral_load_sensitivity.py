@@ -37,6 +37,6 @@ class LateralLoadSensitivity(Effect):
 
     def rates(self, course: "Course", ops: Ops) -> Sequence[Scalar]:
         """Let a_y follow the tyres' side force."""
-        motion, forces = course.motion, course.forces
-        aside = forces.F_xf * ops.sin(motion.delta) + forces.F_yf * ops.cos(motion.delta) + forces.F_yr
+        motion = course.motion
+        aside = motion.car.tyre_wrench(course.forces, motion, ops).F_y
         return ((aside / motion.car.mass - motion.own[self.key("acceleration")]) / LAG,)

@@ -37,6 +37,6 @@ class LongitudinalLoadTransfer(Effect):
 
     def rates(self, course: "Course", ops: Ops) -> Sequence[Scalar]:
         """Let the pitch follow the acceleration that the tyres give."""
-        motion, forces = course.motion, course.forces
-        ahead = forces.F_xf * ops.cos(motion.delta) - forces.F_yf * ops.sin(motion.delta) + forces.F_xr
+        motion = course.motion
+        ahead = motion.car.tyre_wrench(course.forces, motion, ops).F_x
         return ((ahead / motion.car.mass - motion.own[self.key("acceleration")]) / LAG,)

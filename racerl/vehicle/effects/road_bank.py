@@ -17,8 +17,6 @@ from racerl.vehicle.parameter import parameter
 if TYPE_CHECKING:
     from racerl.vehicle.vehicle import Forces, Motion, Wrench
 
-GRAVITY = 9.81  # m/s²
-
 
 @dataclass(frozen=True, kw_only=True)
 class RoadBank(Effect):
@@ -34,7 +32,7 @@ class RoadBank(Effect):
     def wrench(self, wrench: "Wrench", forces: "Forces", motion: "Motion", ops: Ops) -> "Wrench":
         """Add the weight's share along the bowl, in body axes."""
         away_x, away_y = motion.x - self.x, motion.y - self.y
-        pull = motion.car.mass * GRAVITY * self.bank / ops.sqrt(away_x * away_x + away_y * away_y + 1.0)
+        pull = motion.car.weight * self.bank / ops.sqrt(away_x * away_x + away_y * away_y + 1.0)
         sin_yaw, cos_yaw = ops.sin(motion.yaw), ops.cos(motion.yaw)
         return wrench._replace(
             F_x=wrench.F_x - pull * (away_x * cos_yaw + away_y * sin_yaw),

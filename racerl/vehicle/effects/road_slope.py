@@ -17,8 +17,6 @@ from racerl.vehicle.parameter import parameter
 if TYPE_CHECKING:
     from racerl.vehicle.vehicle import Forces, Motion, Wrench
 
-GRAVITY = 9.81  # m/s²
-
 
 @dataclass(frozen=True, kw_only=True)
 class RoadSlope(Effect):
@@ -32,7 +30,7 @@ class RoadSlope(Effect):
 
     def wrench(self, wrench: "Wrench", forces: "Forces", motion: "Motion", ops: Ops) -> "Wrench":
         """Add the weight's share along the plane, in body axes."""
-        weight, sin_yaw, cos_yaw = motion.car.mass * GRAVITY, ops.sin(motion.yaw), ops.cos(motion.yaw)
+        weight, sin_yaw, cos_yaw = motion.car.weight, ops.sin(motion.yaw), ops.cos(motion.yaw)
         return wrench._replace(
             F_x=wrench.F_x + weight * (self.x * cos_yaw + self.y * sin_yaw),
             F_y=wrench.F_y + weight * (self.y * cos_yaw - self.x * sin_yaw),

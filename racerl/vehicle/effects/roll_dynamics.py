@@ -37,8 +37,8 @@ class RollDynamics(Effect):
 
     def rates(self, course: "Course", ops: Ops) -> Sequence[Scalar]:
         """Let the roll, in units of a_y, follow the tyres' side force."""
-        motion, forces = course.motion, course.forces
+        motion = course.motion
         roll, rate = motion.own[self.key("roll")], motion.own[self.key("rate")]
-        aside = forces.F_xf * ops.sin(motion.delta) + forces.F_yf * ops.cos(motion.delta) + forces.F_yr
+        aside = motion.car.tyre_wrench(course.forces, motion, ops).F_y
         pull = self.frequency * self.frequency * (aside / motion.car.mass - roll)
         return rate, pull - 2.0 * DAMPING * self.frequency * rate
