@@ -1,7 +1,7 @@
 """What a log says about one stage: equal windows with inputs at any shift in time, and each channel's noise."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -135,6 +135,14 @@ class Evidence:
     def noise(self) -> Array:
         """Return the standard deviation of each output's noise, (C,): what local polynomials do not follow."""
         return self._noise(self.observed)
+
+    def with_noisy_inputs(self, generator: np.random.Generator) -> "Evidence":
+        """Return the evidence with as much noise again on every measured input; commands are known."""
+        columns = dict(self.columns)
+        for name in self.stage.inputs:
+            if name not in COMMANDS:
+                columns[name] = columns[name] + self._noise([name])[0] * generator.standard_normal(len(self.first))
+        return replace(self, columns=columns)
 
     def _noise(self, names: Sequence[str]) -> Array:
         begins = np.unique(self.first)

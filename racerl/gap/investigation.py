@@ -6,24 +6,29 @@ all windows rank; fits that leave folds of runs out decide.
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from racerl.data.log import Log
 from racerl.gap.evidence import Evidence
-from racerl.gap.problem import Fit, Problem, Score, StageKernels, StageProblem, Unknown, merged, score
+from racerl.gap.kernels import StageKernels
+from racerl.gap.problem import Fit, Problem, StageProblem, Unknown, expected_cost
+from racerl.gap.score import Score, merged, score
 from racerl.gap.stage import STAGES
 from racerl.identify.unknowns import Unknowns
 from racerl.vehicle.effects import Effect
 from racerl.vehicle.parameter import replace_values, specifications, values
-from racerl.vehicle.vehicle import STATE, Vehicle
+from racerl.vehicle.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 Names = frozenset[str]
 SHARE = 0.1  # of a channel's misfit that counts as noise in its weight
-NOMINAL, SCREEN, REFINE = 25, 3, 8  # most iterations of the nominal fit, of screening, of a candidate on the shortlist
+NOMINAL, SCREEN, REFINE = 20, 3, 8  # most iterations of the nominal fit, of screening, of a candidate
+ASTRAY = 1.3  # times the noise's cost, beyond which a fit says little of the parameters
 SAMPLED = 3  # every which window screening looks at
+STRETCH = 6  # windows that are held out together
 WIDE = 3.0  # deviation of an effect's parameters, in their usual sizes
 
 
@@ -40,6 +45,14 @@ class Found:
     problem: Problem
 
 
+class Screened(NamedTuple):
+    """A candidate after a few steps: the vehicle that it led to, and its gain."""
+
+    name: str
+    vehicle: Vehicle
+    gain: float
+
+
 class Investigation:
     """Logs, cut for every stage, and all that was fitted to them."""
 
@@ -54,6 +67,7 @@ class Investigation:
         slowest: float = 0.5,
         folds: int = 4,
         threads: int = 1,
+        seed: int = 0,
     ) -> None:
         cut = [Evidence.of(logs, stage, length, slowest) for stage in STAGES]
         self.evidence = {each.stage.name: each for each in cut if each is not None and len(each.start)}
@@ -74,8 +88,8 @@ class Investigation:
         self.noise = {name: each.noise() for name, each in self.evidence.items()}
         self.sigma = dict(self.noise)
         self.base = self._nominal()
+        self.floor = self.expected(self.base, seed)
         self.folds = self._deal(folds)
-        self._known: dict[Names, Found] = {frozenset(): self.base}
 
     def _nominal(self) -> Found:
         """Fit the vehicle without effects; weigh channels by their noise and a share of what is left over."""
@@ -84,7 +98,9 @@ class Investigation:
             stage = next(s for s in found.problem.stages if s.evidence is evidence)
             windows = replace(stage.windows(found.theta), initial=found.initial[name])
             error = stage.rollout.predict(stage.parameters(found.theta), windows, self.threads) - windows.measured
-            self.sigma[name] = np.sqrt(self.noise[name] ** 2 + SHARE**2 * (error**2).mean(axis=(0, 2)))
+            left = (error**2).mean(axis=(0, 2))
+            self.noise[name] = np.minimum(self.noise[name], np.sqrt(left))  # local polynomials miss fast motion
+            self.sigma[name] = np.sqrt(self.noise[name] ** 2 + SHARE**2 * left)
         return self._fit(frozenset(), found.vehicle, found, NOMINAL)
 
     def _fit(
@@ -125,30 +141,38 @@ class Investigation:
     def touched(self, vehicle: Vehicle, effects: Names) -> list[str]:
         """Return the stages whose outcome depends on a parameter of the effects."""
         found = []
+        unknowns = [unknown for effect in effects for unknown in _free(vehicle, effect)]
         for name, evidence in self.evidence.items():
-            unknowns = [unknown for effect in effects for unknown in _free(vehicle, effect)]
             if StageProblem.touched(evidence, self.kernels[name], vehicle, unknowns):
                 found.append(name)
         return found
 
-    def screen(self, base: Found, name: str) -> Vehicle | None:
+    def screen(self, base: Found, name: str) -> Screened | None:
         """Add an effect to a fitted vehicle: a few steps from each of its usual sizes, on a share of the windows.
 
-        Return the vehicle of the best size; None where no stage shows the effect.
+        Where the fit is astray, all parameters but the effects' start as configured. Return the best; None where no
+        stage shows the effect.
         """
-        best: tuple[float, Vehicle] | None = None
+        best: Screened | None = None
         for effect in self.catalogue[name]:
             vehicle = replace(base.vehicle, effects={**base.vehicle.effects, name: effect})
             stages = self.touched(vehicle, frozenset([name]))
             if not stages:
                 return None
+            iterations = SCREEN
+            if self._astray(base, stages):
+                vehicle, iterations = replace(self.vehicle, effects=vehicle.effects), REFINE
             some = {stage: np.arange(len(self.evidence[stage].start))[::SAMPLED] for stage in stages}
-            start = self._start(base, stages)
-            found = self._fit(base.effects | {name}, vehicle, start, SCREEN, stages, some)
+            found = self._fit(base.effects | {name}, vehicle, self._start(base, stages), iterations, stages, some)
             gain = float(sum((self.cost(base, s)[some[s]] - found.cost[s]).sum() for s in stages))
-            if best is None or gain > best[0]:
-                best = gain, found.vehicle
-        return None if best is None else best[1]
+            if best is None or gain > best.gain:
+                best = Screened(name, found.vehicle, gain)
+        return best
+
+    def _astray(self, base: Found, stages: Iterable[str]) -> bool:
+        """Return whether a fit is so far from the noise that it may have led the parameters astray."""
+        names = list(stages)
+        return sum(self.cost(base, name).sum() for name in names) > ASTRAY * sum(self.floor[name] for name in names)
 
     def score(self, base: Found) -> Score:
         """Return the score of every effect that a fitted vehicle lacks, summed over the stages."""
@@ -157,75 +181,67 @@ class Investigation:
         for name, evidence in self.evidence.items():
             unknowns = [*self.unknowns, *(u for effect in sorted(base.effects) for u in _free(base.vehicle, effect))]
             problem = StageProblem.of(
-                evidence, self.kernels[name], base.vehicle, unknowns, self.sigma[name], self.threads
+                evidence, self.kernels[name], base.vehicle, unknowns, self.sigma[name], self.threads, whole=True
             )
-            found = score(problem, base.theta, self._padded(start.initial[name], problem))
+            found = score(problem, base.theta, start.initial[name])
             total = found if total is None else merged(total, found)
         assert total is not None  # noqa: S101
         return total
 
-    def _padded(self, initial: Array, problem: StageProblem) -> Array:
-        states = len(problem.rollout.vehicle.states)
-        padded = np.zeros((states, initial.shape[1]))
-        padded[: len(initial)] = initial[:states]
-        return padded
+    def add(self, base: Found, screened: Screened) -> Found:
+        """Fit a vehicle with an effect more than a fitted one has, over the stages that they touch."""
+        effects = base.effects | {screened.name}
+        stages = self.touched(screened.vehicle, effects)
+        return self._fit(effects, screened.vehicle, self._start(base, stages), REFINE, stages)
 
-    def add(self, base: Found, vehicle: Vehicle) -> Found:
-        """Fit a vehicle that has more effects than a fitted one to the end, over the stages that they touch."""
-        more = frozenset(vehicle.effects) - base.effects
-        stages = self.touched(vehicle, more | base.effects)
-        return self._fit(base.effects | more, vehicle, self._start(base, stages), REFINE, stages)
+    def converged(self, found: Found) -> Found:
+        """Return a fit carried on to its end."""
+        if found.fit.converged:
+            return found
+        return self._fit(found.effects, found.vehicle, found, NOMINAL, list(found.cost))
+
+    def expected(self, found: Found, seed: int) -> dict[str, float]:
+        """Return the cost per stage that sensors' noise alone would leave if a fitted vehicle were right."""
+        return {
+            (name := stage.evidence.stage.name): float(
+                expected_cost(stage, found.theta, initial, self.noise[name], seed).sum()
+            )
+            for stage, initial in zip(found.problem.stages, found.fit.initial, strict=True)
+        }
+
+    def without(self, base: Found, name: str) -> Found:
+        """Fit a vehicle that lacks one effect of a fitted one, over the same stages."""
+        others = {key: effect for key, effect in base.vehicle.effects.items() if key != name}
+        vehicle = replace(base.vehicle, effects=others)
+        return self._fit(base.effects - {name}, vehicle, self._start(base, base.cost), REFINE, base.cost)
 
     def _start(self, base: Found, stages: Iterable[str]) -> Found:
         missing = {name: self.base.initial[name] for name in stages if name not in base.initial}
-        return replace_found(base, {**base.initial, **missing})
-
-    def gain(self, base: Found, found: Found) -> float:
-        """Return by how much the cost falls over the stages that both were fitted to, in squared deviations."""
-        return float(sum(self.cost(base, name).sum() - cost.sum() for name, cost in found.cost.items()))
+        return replace(base, initial={**base.initial, **missing})
 
     def cost(self, found: Found, stage: str) -> Array:
         """Return a fit's cost per window of a stage; the nominal one where its effects do not touch it."""
         return found.cost.get(stage, self.base.cost[stage])
 
+    def blocks(self, stage: str) -> NDArray[np.int64]:
+        """Return a number per window of a stage: neighbours of one run that are held out, and resampled, together."""
+        evidence = self.evidence[stage]
+        stretch = evidence.run * 1_000_000 + evidence.start // (STRETCH * evidence.length)
+        return np.unique(stretch, return_inverse=True)[1]
+
     def _deal(self, count: int) -> list[dict[str, NDArray[np.bool_]]]:
-        """Return masks of the windows that each fold holds out: whole runs, or stretches where runs are few."""
-        masks: list[dict[str, NDArray[np.bool_]]] = [{} for _ in range(count)]
-        for name, evidence in self.evidence.items():
-            runs, size = np.unique(evidence.run, return_counts=True)
-            if len(runs) >= 2 * count:
-                order = runs[np.argsort(-size, kind="stable")]
-                for number in range(count):
-                    masks[number][name] = np.isin(evidence.run, order[number::count])
-            else:
-                block = (np.arange(len(evidence.start)) * count * 3) // max(len(evidence.start), 1)
-                for number in range(count):
-                    masks[number][name] = block % count == number
-        return masks
+        """Return masks of the windows that each fold holds out: stretches of a few seconds, dealt in turn.
 
-    def held_out(self, found: Found, iterations: int = 4) -> dict[str, Array]:
-        """Return the cost of every window under a fit that has not seen its fold, per stage."""
+        So every manoeuvre is in all folds; whole runs would leave what only one of them excites to chance.
+        """
+        turn = {name: self.blocks(name) % count for name in self.evidence}
+        return [{name: number == fold for name, number in turn.items()} for fold in range(count)]
+
+    def held_out(self, found: Found) -> dict[str, Array]:
+        """Return the cost of every window under parameters that have not seen its fold, per stage."""
         names = list(found.cost)
-        cost = {name: np.zeros(len(self.evidence[name].start)) for name in names}
-        for mask in self.folds:
-            seen = {name: np.flatnonzero(~mask[name]) for name in names}
-            unseen = {name: np.flatnonzero(mask[name]) for name in names}
-            part = self._fit(found.effects, found.vehicle, found, iterations, names, seen)
-            judged = found.problem.fit(
-                {name: part.theta[name] for name in found.problem.names},
-                [found.initial[name][:, unseen[name]] for name in names],
-                [unseen[name] for name in names],
-                3,
-                hold=True,
-            )
-            for name, got in zip(names, judged.cost, strict=True):
-                cost[name][unseen[name]] = got
-        return cost
-
-
-def replace_found(found: Found, initial: dict[str, Array]) -> Found:
-    """Return a fit with the initial states of more stages; those of effects' own states are found anew."""
-    return replace(found, initial={name: part[: len(STATE)] for name, part in initial.items()})
+        cost = found.problem.held_out(found.fit, [[fold[name] for name in names] for fold in self.folds])
+        return dict(zip(names, cost, strict=True))
 
 
 def _free(vehicle: Vehicle, effect: str) -> list[Unknown]:

@@ -8,16 +8,17 @@ Levenberg–Marquardt on the normal equations, initial states eliminated window 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from racerl.gap.evidence import Evidence
 from racerl.gap.follow import follow
+from racerl.gap.kernels import StageKernel, StageKernels
 from racerl.gap.presence import inner, only_shifts, with_all
-from racerl.gap.stage import SHIFTS, StageEquations, StageRollout
-from racerl.vehicle.effects import Effect
-from racerl.vehicle.parameter import replace_values, specifications, values
+from racerl.gap.stage import SHIFTS, StageRollout
+from racerl.vehicle.parameter import replace_values, values
 from racerl.vehicle.rollout import Windows
 from racerl.vehicle.vehicle import STATE, Vehicle
 
@@ -25,6 +26,7 @@ Array = NDArray[np.float64]
 OWN_SPREAD = 0.5  # deviation of own initial states, in their spread over the windows
 FIXED = 1e-6  # deviation of states that are known, such as clocks
 WORST = 1e8  # damping at which no step helps any more
+HELD_DAMPING = 1e-2  # of the step to a fold's parameters
 
 
 @dataclass(frozen=True)
@@ -36,54 +38,6 @@ class Unknown:
     sigma: float
     low: float
     high: float
-
-
-class StageKernel:
-    """One stage of a vehicle with every effect of a catalogue in it, compiled once for any set of them."""
-
-    def __init__(
-        self, evidence: Evidence, vehicle: Vehicle, free: Sequence[str], catalogue: Mapping[str, Effect]
-    ) -> None:
-        everything = evidence.stage.vehicle(with_all(vehicle, catalogue))
-        table = values(everything)
-        inside = [name for name in table if name in free or ".effect." in name]
-        presences = [name for name in table if name.endswith(".presence")]
-        inside = StageEquations(everything, [*inside, *presences], evidence.observed).effective()
-        # what is zero is left out of the kernel, except in effects; anything else may differ from car to car
-        given = [name for name, v in table.items() if name not in inside and (float(v) != 0.0 or "effects." in name)]
-        self.rollout = StageRollout(everything, [*inside, *SHIFTS], evidence.observed, given=given)
-        self.catalogue = catalogue
-
-
-class StageKernels:
-    """The kernels of a stage: one for effects that leave it apart from the other stages, one for all effects."""
-
-    def __init__(
-        self, evidence: Evidence, vehicle: Vehicle, free: Sequence[str], catalogue: Mapping[str, Effect]
-    ) -> None:
-        self._make = lambda effects: StageKernel(evidence, vehicle, free, effects)
-        alone = StageEquations(evidence.stage.vehicle(vehicle), [], evidence.observed).active
-        self.coupling = {
-            name
-            for name, effect in catalogue.items()
-            if not only_shifts(effect) and set(_active(evidence, vehicle, {name: effect})) & set(STATE) - set(alone)
-        }
-        self.catalogue = catalogue
-        self._apart = self._make({name: e for name, e in catalogue.items() if name not in self.coupling})
-        self._all: StageKernel | None = None
-
-    def choose(self, vehicle: Vehicle) -> StageKernel:
-        """Return the kernel that has all the vehicle's effects in it."""
-        if not self.coupling & set(vehicle.effects):
-            return self._apart
-        if self._all is None:
-            self._all = self._make(self.catalogue)
-        return self._all
-
-
-def _active(evidence: Evidence, vehicle: Vehicle, effects: Mapping[str, Effect]) -> list[str]:
-    car = evidence.stage.vehicle(replace(vehicle, effects={**vehicle.effects, **effects}))
-    return StageEquations(car, [], evidence.observed).active
 
 
 @dataclass(frozen=True)
@@ -106,9 +60,11 @@ class StageProblem:
         unknowns: Sequence[Unknown],
         sigma: Array,
         threads: int,
+        *,
+        whole: bool = False,
     ) -> "StageProblem":
-        """Choose the unknowns that matter to the stage."""
-        kernel = kernels.choose(vehicle)
+        """Choose the unknowns that matter to the stage, and its kernel; `whole`: one with the whole catalogue."""
+        kernel = kernels.choose(vehicle, whole=whole)
         matter = [u.name for u in unknowns if _matters(evidence, kernel, vehicle, u.name)]
         return cls(evidence, kernel, vehicle, tuple(matter), sigma, threads)
 
@@ -126,21 +82,25 @@ class StageProblem:
     def columns(self) -> list[int]:
         """Return the kernel's unknowns that are needed: parameters, shifts, and initial states that are heard."""
         names = self.rollout.names
-        asked = [i for i, share in enumerate(np.abs(self.mixing()).sum(axis=1)) if share > 0.0]
+        asked = [i for i, share in enumerate(np.abs(self.mixing).sum(axis=1)) if share > 0.0]
         return asked + [len(names) + i for i, state in enumerate(self.rollout.active) if self.heard(state)]
 
     def heard(self, state: str) -> bool:
         """Return whether a state is the car's own, or one of an effect that is present."""
         return state in STATE or state.split(".")[0] in self.vehicle.effects
 
+    def silent(self) -> set[str]:
+        """Return the states of effects that are absent."""
+        return {state for state in self.rollout.active if not self.heard(state)}
+
     def shifts(self, theta: Mapping[str, float]) -> tuple[float, float]:
         """Return the shifts of both inputs, in s."""
-        car = _with(self.vehicle, theta)
-        total = np.sum([self.evidence.stage.shifts(effect) for effect in car.effects.values()] or [(0.0, 0.0)], axis=0)
-        return float(total[0]), float(total[1])
+        first, second = self.evidence.stage.shifts(_with(self.vehicle, theta))
+        return float(first), float(second)
 
+    @cached_property
     def mixing(self) -> Array:
-        """Return ∂(kernel parameters)/∂(names), (P, N)."""
+        """∂(kernel parameters)/∂(names), (P, N)."""
         kernel = self.rollout.names
         matrix = np.zeros((len(kernel), len(self.names)))
         for column, name in enumerate(self.names):
@@ -161,7 +121,7 @@ class StageProblem:
         return self.evidence.stage.vehicle(with_all(_with(self.vehicle, theta), self.kernel.catalogue))
 
     def windows(self, theta: Mapping[str, float]) -> Windows:
-        """Return the windows with inputs at θ's shifts and own states settled in the measured motion."""
+        """Return the windows with inputs at θ's shifts, weighted by the noise."""
         windows = self.evidence.windows(self.rollout.vehicle.states, self.shifts(theta))
         return replace(windows, weight=np.repeat(1.0 / self.sigma[:, None], windows.initial.shape[1], axis=1))
 
@@ -186,33 +146,55 @@ def _shift_of(evidence: Evidence, vehicle: Vehicle, name: str) -> tuple[float, f
     """Return by how much one second of a parameter shifts the stage's inputs."""
     if not name.startswith("effects."):
         return 0.0, 0.0
-    key = name.split(".")[1]
-    if not only_shifts(vehicle.effects[key]):
+    if not only_shifts(vehicle.effects[name.split(".")[1]]):
         return 0.0, 0.0
-    up, none = (_with(vehicle, {name: size}).effects[key] for size in (1.0, 0.0))
+    up, none = (_with(vehicle, {name: size}) for size in (1.0, 0.0))
     at_one, at_none = evidence.stage.shifts(up), evidence.stage.shifts(none)
     return at_one[0] - at_none[0], at_one[1] - at_none[1]
 
 
 @dataclass(frozen=True)
 class Linear:
-    """A stage at a point: cost per window, and H, g over (θ, x_0) of each window."""
+    """A stage at a point: cost per window (W,), and the normal equations of each window's (θ, x_0)."""
 
     cost: Array
-    H: Array
-    g: Array
+    tt: Array  # (W, N, N)
+    tx: Array  # (W, N, A)
+    xx: Array  # (W, A, A)
+    t: Array  # (W, N)
+    x: Array  # (W, A)
+
+    def inverse(self, damping: float) -> Array:
+        """Return the damped inverse of xx, (W, A, A)."""
+        diagonal = np.einsum("waa->wa", self.xx)
+        ridge = damping * diagonal + 1e-10 * diagonal.max(axis=1, keepdims=True, initial=0.0) + 1e-300
+        return np.linalg.inv(self.xx + ridge[:, :, None] * np.eye(self.xx.shape[1]))
+
+    def reduced(self, damping: float) -> tuple[Array, Array]:
+        """Return H (W, N, N) and g (W, N) over θ with each window's initial state eliminated."""
+        gain = self.tx @ self.inverse(damping)
+        return self.tt - gain @ self.tx.transpose(0, 2, 1), self.t - np.einsum("wnx,wx->wn", gain, self.x)
+
+    def follow(self, moved: Array, damping: float) -> Array:
+        """Return the initial states' own step (A, W) when θ moves by `moved`."""
+        gradient = self.x + np.einsum("wnx,n->wx", self.tx, moved)
+        return -np.einsum("wxy,wy->xw", self.inverse(damping), gradient)
 
 
 @dataclass
 class Fit:
-    """Parameters and initial states found; `cost` per stage and window, priors of θ apart."""
+    """Parameters and initial states found, per stage, with what they were found from."""
 
     theta: dict[str, float]
     initial: list[Array]
-    cost: list[Array]
     total: float
-    H: Array
+    lines: list[Linear]
     converged: bool
+
+    @property
+    def cost(self) -> list[Array]:
+        """Cost per stage and window; priors of θ apart."""
+        return [line.cost for line in self.lines]
 
 
 class Problem:
@@ -234,10 +216,9 @@ class Problem:
         initial: Sequence[Array] | None = None,
         index: Sequence[NDArray[np.int64]] | None = None,
         iterations: int = 8,
-        tolerance: float = 2e-5,
-        hold: bool = False,
+        tolerance: float = 3e-4,
     ) -> Fit:
-        """Minimise F over some windows of each stage (all unless given); with `hold` over x_0 only."""
+        """Minimise F over some windows of each stage (all unless given), until it falls by less than `tolerance`."""
         work = [_Work(stage, theta, None if index is None else index[i]) for i, stage in enumerate(self.stages)]
         for i, stage in enumerate(work):
             if initial is not None:
@@ -247,7 +228,7 @@ class Problem:
         damping, converged = 1e-3, False
         for _ in range(iterations):
             while True:
-                trial, moves = self._step(work, at, vector, damping, hold)
+                trial, moves = self._step(work, at, vector, damping)
                 before = [stage.initial for stage in work]
                 for stage, move in zip(work, moves, strict=True):
                     stage.initial = stage.initial + move
@@ -273,49 +254,91 @@ class Problem:
         total += float((((vector - self.mean) / self.scale) ** 2).sum())
         return (total if np.isfinite(total) else np.inf), lines
 
-    def _reduced(self, work: Sequence["_Work"], lines: Sequence[Linear], damping: float) -> tuple[Array, Array]:
-        """Return H and g over θ with initial states eliminated, and the priors in."""
+    def _total(
+        self, lines: Sequence[Linear], damping: float, windows: Sequence[NDArray[np.bool_]] | None = None
+    ) -> tuple[Array, Array]:
+        """Return H and g over θ, summed over windows, with initial states eliminated."""
         size = len(self.names)
         H, g = np.zeros((size, size)), np.zeros(size)
-        for stage, line in zip(work, lines, strict=True):
-            place = [self.names.index(name) for name in stage.problem.names]
-            N = len(place)
-            gain = line.H[:, :N, N:] @ stage.inverse(line, damping)
-            part = (line.H[:, :N, :N] - gain @ line.H[:, N:, :N]).sum(axis=0)
-            H[np.ix_(place, place)] += part
-            g[place] += (line.g[:, :N] - np.einsum("wnx,wx->wn", gain, line.g[:, N:])).sum(axis=0)
+        for i, (stage, line) in enumerate(zip(self.stages, lines, strict=True)):
+            place = self._places(stage)
+            part, slope = line.reduced(damping)
+            chosen = slice(None) if windows is None else windows[i]
+            H[np.ix_(place, place)] += part[chosen].sum(axis=0)
+            g[place] += slope[chosen].sum(axis=0)
         return H, g
 
+    def _moved(self, H: Array, g: Array, vector: Array, damping: float) -> Array:
+        """Return θ after a damped step down g inside the bounds; H is without the priors, g with theirs."""
+        A = H * np.outer(self.scale, self.scale) + np.eye(len(g))
+        b = g * self.scale
+        A += damping * np.diag(np.diag(A))
+        free = ~(((vector <= self.low) & (b > 0)) | ((vector >= self.high) & (b < 0)))
+        step = np.zeros_like(b)
+        step[free] = -np.linalg.solve(A[np.ix_(free, free)], b[free])
+        moved: Array = np.clip(vector + step * self.scale, self.low, self.high)
+        return moved
+
     def _step(
-        self, work: Sequence["_Work"], at: tuple[float, list[Linear]], vector: Array, damping: float, hold: bool
+        self, work: Sequence["_Work"], at: tuple[float, list[Linear]], vector: Array, damping: float
     ) -> tuple[Array, list[Array]]:
-        """Return θ after a damped step inside the bounds, and what each stage's initial states move by."""
-        trial = vector
-        if not hold and len(vector):
-            H, g = self._reduced(work, at[1], damping)
-            A = H * np.outer(self.scale, self.scale) + np.eye(len(g))
-            b = g * self.scale + (vector - self.mean) / self.scale
-            A += damping * np.diag(np.diag(A))
-            free = ~(((vector <= self.low) & (b > 0)) | ((vector >= self.high) & (b < 0)))
-            step = np.zeros_like(b)
-            step[free] = -np.linalg.solve(A[np.ix_(free, free)], b[free])
-            trial = np.clip(vector + step * self.scale, self.low, self.high)
-        moves = []
-        for stage, line in zip(work, at[1], strict=True):
-            moved = np.array([trial[self.names.index(n)] - vector[self.names.index(n)] for n in stage.problem.names])
-            moves.append(stage.follow(line, moved, damping))
+        """Return θ after a damped step, and what each stage's initial states move by."""
+        H, g = self._total(at[1], damping)
+        g += (vector - self.mean) / self.scale**2
+        trial = self._moved(H, g, vector, damping) if len(vector) else vector
+        moves = [
+            stage.spread(line, (trial - vector)[self._places(stage.problem)], damping)
+            for stage, line in zip(work, at[1], strict=True)
+        ]
         return trial, moves
 
+    def _places(self, stage: StageProblem) -> list[int]:
+        """Return where the names of a stage stand in θ."""
+        return [self.names.index(name) for name in stage.names]
+
     def _result(self, work: Sequence["_Work"], vector: Array, at: tuple[float, list[Linear]], converged: bool) -> Fit:
-        H, _ = self._reduced(work, at[1], 0.0)
-        return Fit(
-            dict(zip(self.names, vector.tolist(), strict=True)),
-            [stage.initial for stage in work],
-            [line.cost for line in at[1]],
-            at[0],
-            H,
-            converged,
-        )
+        theta = dict(zip(self.names, vector.tolist(), strict=True))
+        return Fit(theta, [stage.initial for stage in work], at[0], at[1], converged)
+
+    def held_out(self, fit: Fit, folds: Sequence[Sequence[NDArray[np.bool_]]]) -> list[Array]:
+        """Return the cost of every window (W,) per stage, under parameters that were found without its fold.
+
+        `folds` are masks of the windows per stage. Parameters of a fold by the infinitesimal jackknife,
+        θ − θ_f = −H_f̄⁻¹ g_f with H_f̄ of the windows outside and g_f of those inside of it, damped where the data say
+        little; the initial states of its windows are then found anew.
+        """
+        cost = [np.zeros_like(line.cost) for line in fit.lines]
+        at = np.array([fit.theta[name] for name in self.names])
+        for fold in folds:
+            outside, _ = self._total(fit.lines, 0.0, [~mask for mask in fold])
+            _, inside = self._total(fit.lines, 0.0, fold)
+            moved = self._moved(outside, -inside, at, HELD_DAMPING)
+            theta = dict(zip(self.names, moved.tolist(), strict=True))
+            for i, (stage, line, mask) in enumerate(zip(self.stages, fit.lines, fold, strict=True)):
+                alone = replace(stage, names=(), vehicle=_with(stage.vehicle, theta))
+                work = _Work(alone, {}, np.flatnonzero(mask))
+                start = fit.initial[i].copy()
+                start[work.rows] += line.follow((moved - at)[self._places(stage)], 0.0)
+                work.initial = start[:, mask]
+                cost[i][mask] = work.settled()
+        return cost
+
+
+def expected_cost(stage: StageProblem, theta: Mapping[str, float], initial: Array, noise: Array, seed: int) -> Array:
+    """Return what each window (W,) would cost if the vehicle were right: one draw of the sensors' `noise` (C,).
+
+    Noise of measured inputs counts: it drives the car that is simulated, not the one that was measured.
+    """
+    generator = np.random.default_rng(seed)
+    alone = replace(stage, names=(), vehicle=_with(stage.vehicle, theta))
+    still = replace(alone.windows({}), initial=initial)
+    truth = stage.rollout.predict(alone.parameters({}), still, stage.threads)
+    noisy = replace(alone, evidence=stage.evidence.with_noisy_inputs(generator))
+    work = _Work(noisy, {}, None)
+    shown = truth + noise[:, None] * generator.standard_normal(truth.shape)
+    work.windows = replace(work.windows, measured=np.ascontiguousarray(shown))
+    work.initial = initial.copy()
+    return work.settled()
 
 
 class _Work:
@@ -329,11 +352,11 @@ class _Work:
             own = problem.own_states(theta)
             self.initial[len(STATE) :] = own if index is None else own[:, index]
         states = problem.rollout.vehicle.states
-        self.columns = problem.columns()
+        self.columns, self.silent = problem.columns(), problem.silent()
         active = [name for name in problem.rollout.active if problem.heard(name)]
         self.rows = [states.index(name) for name in active]
         used = [i for i in self.columns if i < len(problem.rollout.names)]
-        self.mixing = problem.mixing()[used]
+        self.mixing = problem.mixing[used]
         self._shifts = problem.shifts(theta)
         self.rest = self.initial[self.rows]
         self.precision = np.array([self._precision(states[row], self.initial[row]) for row in self.rows])
@@ -361,119 +384,30 @@ class _Work:
         windows = replace(self.windows, initial=self.initial)
         with np.errstate(all="ignore"):
             parts = self.problem.rollout.accumulate(
-                self.problem.parameters(theta), windows, self.problem.threads, self.columns
+                self.problem.parameters(theta), windows, self.problem.threads, self.columns, self.silent
             )
         P, M = len(self.mixing), self.mixing
         away = (self.initial[self.rows] - self.rest).T  # (W, A)
-        H = np.concatenate(
-            [
-                np.concatenate([M.T @ parts.H[:, :P, :P] @ M, M.T @ parts.H[:, :P, P:]], axis=2),
-                np.concatenate([parts.H[:, P:, :P] @ M, parts.H[:, P:, P:] + np.diag(self.precision)], axis=2),
-            ],
-            axis=1,
-        )
-        g = np.concatenate([parts.g[:, :P] @ M, parts.g[:, P:] + away * self.precision], axis=1)
         cost = parts.squares.sum(axis=1) + (away**2 * self.precision).sum(axis=1)
-        if not np.isfinite(H).all():
+        if not np.isfinite(parts.H).all():
             cost = np.full_like(cost, np.inf)
-        return Linear(cost, H, g)
+        return Linear(
+            cost,
+            M.T @ parts.H[:, :P, :P] @ M,
+            M.T @ parts.H[:, :P, P:],
+            parts.H[:, P:, P:] + np.diag(self.precision),
+            parts.g[:, :P] @ M,
+            parts.g[:, P:] + away * self.precision,
+        )
 
-    def inverse(self, line: Linear, damping: float) -> Array:
-        """Return the damped inverse of H over x_0, (W, A, A)."""
-        N = len(self.problem.names)
-        xx = line.H[:, N:, N:]
-        diagonal = np.einsum("waa->wa", xx)
-        ridge = damping * diagonal + 1e-10 * diagonal.max(axis=1, keepdims=True) + 1e-300
-        return np.linalg.inv(xx + ridge[:, :, None] * np.eye(xx.shape[1]))
-
-    def follow(self, line: Linear, moved: Array, damping: float) -> Array:
-        """Return the initial states' own step (S, W) when θ moves by `moved`."""
-        N = len(self.problem.names)
-        gradient = line.g[:, N:] + line.H[:, N:, :N] @ moved
+    def spread(self, line: Linear, moved: Array, damping: float) -> Array:
+        """Return the step of the full initial states (S, W) when θ moves by `moved`."""
         step = np.zeros_like(self.initial)
-        step[self.rows] = -np.einsum("wxy,wy->xw", self.inverse(line, damping), gradient)
+        step[self.rows] = line.follow(moved, damping)
         return step
 
-
-@dataclass(frozen=True)
-class Score:
-    """What first-order theory says of adding effects at their usual sizes: H and g over their presences."""
-
-    names: list[str]
-    H: Array
-    g: Array
-
-    def gains(self) -> dict[str, float]:
-        """Return by how much the cost would fall with each effect alone, at its best size of either sign."""
-        stiffness = np.maximum(np.diag(self.H), 1e-12)
-        return dict(zip(self.names, (self.g**2 / stiffness).tolist(), strict=True))
-
-    def cosines(self) -> Array:
-        """Return how alike effects look in this data, (E, E): ± 1 cannot be told apart."""
-        size = np.sqrt(np.maximum(np.diag(self.H), 1e-12))
-        cosine: Array = self.H / np.outer(size, size)
-        return cosine
-
-
-def score(problem: StageProblem, theta: Mapping[str, float], initial: Array) -> Score:
-    """Return the score of all effects that the kernel knows and the vehicle lacks.
-
-    The sensitivities to the nominal parameters and to every window's initial state are projected out: what they can
-    explain does not count for an effect.
-    """
-    rollout, size = problem.rollout, len(problem.rollout.names)
-    car = problem.everything(theta)
-    absent = [name for name in problem.kernel.catalogue if name not in problem.vehicle.effects]
-    columns = {f"effects.{name}.presence": name for name in absent if f"effects.{name}.presence" in rollout.names}
-    windows = replace(problem.windows(theta), initial=initial.copy())
-    windows.initial[len(STATE) :] = follow(car, problem.evidence)[:, problem.evidence.start]
-    heard = [size + i for i, name in enumerate(rollout.active) if problem.heard(name)]
-    asked = [*range(size), *heard]
-    parts = rollout.accumulate(problem.parameters(theta), windows, problem.threads, asked)
-    trust = np.array([problem.evidence.trust(rollout.active[i - size]) for i in heard])
-    xx = parts.H[:, size:, size:] + np.diag(trust)
-    scale = 1e-10 * np.einsum("waa->wa", xx).max(axis=1)
-    gain = parts.H[:, :size, size:] @ np.linalg.inv(xx + scale[:, None, None] * np.eye(len(heard)))
-    H = (parts.H[:, :size, :size] - gain @ parts.H[:, size:, :size]).sum(axis=0)
-    g = (parts.g[:, :size] - np.einsum("wpx,wx->wp", gain, parts.g[:, size:])).sum(axis=0)
-    nominal = problem.mixing()
-    spread = nominal.T @ H @ nominal
-    spread += 1e-9 * np.diag(np.diag(spread)) + 1e-12 * np.eye(len(spread))
-    picked = np.zeros((size, len(absent)))
-    for k, name in enumerate(absent):
-        picked[:, k] = _direction(problem, rollout.names, name, columns)
-    away = picked - nominal @ np.linalg.solve(spread, nominal.T @ H @ picked)
-    return Score(absent, away.T @ H @ away, away.T @ g)
-
-
-def merged(one: Score, other: Score) -> Score:
-    """Return the sum of two stages' scores, over the effects of either."""
-    names = [*one.names, *(name for name in other.names if name not in one.names)]
-    H, g = np.zeros((len(names), len(names))), np.zeros(len(names))
-    for part in (one, other):
-        place = [names.index(name) for name in part.names]
-        H[np.ix_(place, place)] += part.H
-        g[place] += part.g
-    return Score(names, H, g)
-
-
-def _direction(problem: StageProblem, kernel: Sequence[str], name: str, columns: Mapping[str, str]) -> Array:
-    """Return where an effect of its usual size leads among the kernel's parameters."""
-    direction = np.zeros(len(kernel))
-    effect = problem.kernel.catalogue[name]
-    if only_shifts(effect):
-        for shift, seconds in zip(SHIFTS, problem.evidence.stage.shifts(effect), strict=True):
-            direction[kernel.index(shift)] = seconds
-    elif f"effects.{name}.presence" in columns:
-        direction[kernel.index(f"effects.{name}.presence")] = 1.0
-    return direction
-
-
-def unknowns_of(vehicle: Vehicle, sigma: Mapping[str, float]) -> list[Unknown]:
-    """Return the parameters that `sigma` frees, at the vehicle's values and bounds."""
-    known, table = specifications(vehicle), values(vehicle)
-    return [
-        Unknown(name, float(table[name]), width, known[name].low, known[name].high)
-        for name, width in sigma.items()
-        if name in table
-    ]
+    def settled(self) -> Array:
+        """Return the cost per window once every initial state has taken its own best step."""
+        before = self.linearise({})
+        self.initial = self.initial + self.spread(before, np.zeros(0), 0.0)
+        return np.fmin(before.cost, self.linearise({}).cost)

@@ -39,14 +39,14 @@ class Stage:
         """Return the vehicle with the stage's measured inputs in place of its actuators."""
         return drive_by(vehicle, measured_steering=self.inputs[0] == "delta", measured_speed=self.inputs[1] == "omega")
 
-    def shifts(self, effect: Effect) -> tuple[float, float]:
-        """Return by how many seconds an effect shifts the inputs against the outputs."""
-        delays, latencies = effect.delays(), effect.latencies()
+    def shifts(self, late: Effect | Vehicle) -> tuple[float, float]:
+        """Return by how many seconds an effect, or all effects of a vehicle, shift the inputs against the outputs."""
+        delays, latencies = late.delays(), late.latencies()
         # a command's delay acts on the way to its own actuator only
         steering = delays.get("delta_ref", 0.0) if self.inputs[0] == "delta_ref" else 0.0
         drive = delays.get("drive_ref", 0.0) if self.inputs[1] == "omega_ref" else 0.0
-        late, (first, second) = latencies.get(self.outputs[0], 0.0), self.inputs
-        return steering + late - latencies.get(first, 0.0), drive + late - latencies.get(second, 0.0)
+        shown, (first, second) = latencies.get(self.outputs[0], 0.0), self.inputs
+        return steering + shown - latencies.get(first, 0.0), drive + shown - latencies.get(second, 0.0)
 
 
 STAGES = (

@@ -20,7 +20,7 @@ the same by automatic differentiation, far more slowly.
 
 import ctypes
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -79,9 +79,15 @@ static inline void sight(const lane *restrict x, const lane *restrict p, lane *r
 }}
 
 /* a sparse matrix's entry of a parameter, added to the column that the parameter has, if it has one */
-#define ADD(target, row, parameter, entry) \\
+#define SEE(row, parameter, entry) \\
     if (slot[parameter] >= 0) \\
-        for (int l = 0; l < LANES; l++) target[row][slot[parameter]][l] += b[entry][l];
+        for (int l = 0; l < LANES; l++) K[row][slot[parameter]][l] += b[entry][l];
+#define PUSH(row, parameter, entry) \\
+    if (slot[parameter] >= 0 && on[row]) \\
+        for (int l = 0; l < LANES; l++) {{ \\
+            sum[row][slot[parameter]][l] += g * b[entry][l]; \\
+            Y[row][slot[parameter]][l] += h * b[entry][l]; \\
+        }}
 
 /* Z = (dh/dx) X + [dh/dp, 0] */
 static inline void look(const lane *restrict a, const lane *restrict b, const int *slot, long D,
@@ -95,15 +101,11 @@ static inline void look(const lane *restrict a, const lane *restrict b, const in
 {seen_direct}
 }}
 
-/* K = (df/dx) X + [df/dp, 0] */
-static inline void spread(const lane *restrict a, const lane *restrict b, const int *slot, long D,
-                          lane (*restrict X)[D], lane (*restrict K)[D]) {{
-    for (int d = 0; d < D; d++) {{
-        #pragma omp simd
-        for (int l = 0; l < LANES; l++) {{
+/* K = (df/dx) X + [df/dp, 0]; sum += g K, Y = base + h K; rows that are off stay as they are */
+static inline void spread(const lane *restrict a, const lane *restrict b, const int *slot, const int *on, long D,
+                          lane (*X)[D], lane (*base)[D], lane (*restrict sum)[D], real g,
+                          lane (*restrict Y)[D], real h) {{
 {product}
-        }}
-    }}
 {direct}
 }}
 
@@ -145,14 +147,15 @@ void simulate(const real *x_0, const real *inputs, const real *parameters, real 
     }}
 }}
 
-/* `slot` (F + A): the column of each parameter and initial state among the D that are asked for, or -1 */
+/* `slot` (F + A): the column of each parameter and initial state among the D that are asked for, or -1;
+   `on` (A): whether anything that is seen depends on a state */
 void accumulate(const real *x_0, const real *inputs, const real *parameters, const real *measured, const real *weight,
                 real *H_out, real *g_out, real *squares, long n, long intervals, long steps, real h,
-                const int *slot, long D) {{
-    static _Thread_local lane X_[A * DMAX], Y_[A * DMAX], SUM_[A * DMAX], K_[A * DMAX], Z_[C * DMAX];
+                const int *slot, long D, const int *on) {{
+    static _Thread_local lane X_[A * DMAX], Y_[A * DMAX], W_[A * DMAX], SUM_[A * DMAX], Z_[C * DMAX];
     static _Thread_local lane H_[DMAX * DMAX], g[DMAX];
-    lane (*X)[D] = (lane (*)[D])X_, (*Y)[D] = (lane (*)[D])Y_, (*SUM)[D] = (lane (*)[D])SUM_;
-    lane (*K)[D] = (lane (*)[D])K_, (*Z)[D] = (lane (*)[D])Z_, (*H)[D] = (lane (*)[D])H_;
+    lane (*X)[D] = (lane (*)[D])X_, (*Y)[D] = (lane (*)[D])Y_, (*W)[D] = (lane (*)[D])W_;
+    lane (*SUM)[D] = (lane (*)[D])SUM_, (*Z)[D] = (lane (*)[D])Z_, (*H)[D] = (lane (*)[D])H_;
     const size_t X_SIZE = A * D * sizeof(lane);
     for (long first = 0; first < n; first += LANES) {{
         lane x[S], y[S], sum[S], k[S], u[U], p[P + 1], a[{jacobian} + 1], b[{gradient} + 1];
@@ -162,7 +165,8 @@ void accumulate(const real *x_0, const real *inputs, const real *parameters, con
         LOAD(x, x_0, S);
         LOAD(w, weight, C);
         LOAD(p, parameters, P);
-        memset(X, 0, X_SIZE); memset(H, 0, D * D * sizeof(lane)); memset(g, 0, sizeof g); memset(q, 0, sizeof q);
+        memset(X, 0, X_SIZE); memset(Y, 0, X_SIZE); memset(W, 0, X_SIZE); memset(SUM, 0, X_SIZE);
+        memset(H, 0, D * D * sizeof(lane)); memset(g, 0, sizeof g); memset(q, 0, sizeof q);
         for (int i = 0; i < A; i++)
             if (slot[F + i] >= 0) for (int l = 0; l < LANES; l++) X[i][slot[F + i]][l] = 1;
         for (long t = 0; t <= intervals; t++) {{
@@ -190,19 +194,18 @@ void accumulate(const real *x_0, const real *inputs, const real *parameters, con
             if (t == intervals) break;
             LOAD(u, inputs + t * U * n, U);
             for (long step = 0; step < steps; step++) {{
-                memcpy(sum, x, sizeof x); memcpy(SUM, X, X_SIZE);
-                linearise(x, u, p, k, a, b); spread(a, b, slot, D, X, K);
-                gather(sum, k, h / 6, S); along(x, k, h / 2, y, S);
-                gather(&SUM[0][0], &K[0][0], h / 6, A * D); along(&X[0][0], &K[0][0], h / 2, &Y[0][0], A * D);
-                linearise(y, u, p, k, a, b); spread(a, b, slot, D, Y, K);
-                gather(sum, k, h / 3, S); along(x, k, h / 2, y, S);
-                gather(&SUM[0][0], &K[0][0], h / 3, A * D); along(&X[0][0], &K[0][0], h / 2, &Y[0][0], A * D);
-                linearise(y, u, p, k, a, b); spread(a, b, slot, D, Y, K);
-                gather(sum, k, h / 3, S); along(x, k, h, y, S);
-                gather(&SUM[0][0], &K[0][0], h / 3, A * D); along(&X[0][0], &K[0][0], h, &Y[0][0], A * D);
-                linearise(y, u, p, k, a, b); spread(a, b, slot, D, Y, K);
-                gather(sum, k, h / 6, S); gather(&SUM[0][0], &K[0][0], h / 6, A * D);
-                memcpy(x, sum, sizeof x); memcpy(X, SUM, X_SIZE);
+                memcpy(sum, x, sizeof x);
+                for (int i = 0; i < A; i++) if (on[i]) memcpy(SUM[i], X[i], sizeof X[i]);
+                linearise(x, u, p, k, a, b); gather(sum, k, h / 6, S); along(x, k, h / 2, y, S);
+                spread(a, b, slot, on, D, X, X, SUM, h / 6, Y, h / 2);
+                linearise(y, u, p, k, a, b); gather(sum, k, h / 3, S); along(x, k, h / 2, y, S);
+                spread(a, b, slot, on, D, Y, X, SUM, h / 3, W, h / 2);
+                linearise(y, u, p, k, a, b); gather(sum, k, h / 3, S); along(x, k, h, y, S);
+                spread(a, b, slot, on, D, W, X, SUM, h / 3, Y, h);
+                linearise(y, u, p, k, a, b); gather(sum, k, h / 6, S);
+                spread(a, b, slot, on, D, Y, X, SUM, h / 6, W, h);
+                memcpy(x, sum, sizeof x);
+                for (int i = 0; i < A; i++) if (on[i]) memcpy(X[i], SUM[i], sizeof X[i]);
             }}
         }}
         for (int l = 0; l < LANES && first + l < n; l++) {{
@@ -216,6 +219,17 @@ void accumulate(const real *x_0, const real *inputs, const real *parameters, con
     }}
 }}
 """
+
+
+PUSHED = """    if (on[{row}])
+        for (int d = 0; d < D; d++) {{
+            #pragma omp simd
+            for (int l = 0; l < LANES; l++) {{
+                real k = {sum};
+                sum[{row}][d][l] += g * k;
+                Y[{row}][d][l] = base[{row}][d][l] + h * k;
+            }}
+        }}"""
 
 
 @dataclass(frozen=True)
@@ -357,11 +371,17 @@ class Rollout(Equations):
         return torch.stack(torch.broadcast_tensors(*shown), dim=1).numpy()
 
     def accumulate(
-        self, parameters: Array, windows: Windows, threads: int = 1, columns: Sequence[int] | None = None
+        self,
+        parameters: Array,
+        windows: Windows,
+        threads: int = 1,
+        columns: Sequence[int] | None = None,
+        silent: Collection[str] = (),
     ) -> NormalEquations:
         """Return every window's normal equations at parameters (P,) or (P, W) and the windows' initial states.
 
-        `columns` are the unknowns asked for, numbers in (names, active); all of them unless given.
+        `columns` are the unknowns asked for, numbers in (names, active); all of them unless given. `silent` are states
+        that what is observed does not depend on at these parameters, whose sensitivities need not be known.
         """
         parameters = _per_window(parameters, windows)
         steps, h = self.steps(windows.dt)
@@ -371,11 +391,12 @@ class Rollout(Equations):
             return _accumulate_torch(self, parameters, windows, steps, h, asked)
         slot = np.full(self.size, -1, dtype=np.int32)
         slot[asked] = np.arange(size)
+        on = np.array([name not in silent for name in self.active], dtype=np.int32)
 
         def run(part: Windows, parameters: Array) -> tuple[Array, Array, Array]:
             out = np.empty((part.count, size, size)), np.empty((part.count, size)), np.empty((part.count, channels))
             given = [part.initial, part.inputs, parameters, part.measured, part.weight, *out]
-            _call(self._library, "accumulate", given, part.count, intervals, steps, h, slot)
+            _call(self._library, "accumulate", given, part.count, intervals, steps, h, slot, on)
             return out
 
         parts = _in_chunks(run, windows, parameters, threads)
@@ -412,13 +433,14 @@ def _call(
     steps: int,
     h: float,
     slot: NDArray[np.int32] | None = None,
+    on: NDArray[np.int32] | None = None,
 ) -> None:
     contiguous = [np.ascontiguousarray(array, dtype=np.float64) for array in arrays]
     function = getattr(library, name)
-    asked = [] if slot is None else [slot.ctypes.data, int(slot.max()) + 1]
+    asked = [] if slot is None or on is None else [slot.ctypes.data, int(slot.max()) + 1, on.ctypes.data]
     function.restype = None
     function.argtypes = [ctypes.c_void_p] * len(arrays) + [ctypes.c_long] * 3 + [ctypes.c_double]
-    function.argtypes += [ctypes.c_void_p, ctypes.c_long][: len(asked)]
+    function.argtypes += [ctypes.c_void_p, ctypes.c_long, ctypes.c_void_p][: len(asked)]
     function(*(array.ctypes.data for array in contiguous), count, intervals, steps, h, *asked)
 
 
@@ -511,10 +533,10 @@ def source(rollout: Equations) -> str:
         derivative=statements(plain, ("x", "u", "p"), ("k",)),
         linearised=statements(linearised, ("x", "u", "p"), ("k", "a", "b")),
         sight=statements(sight, ("x", "p"), ("y", "a", "b")),
-        product=_product("K", f_x),
-        direct=_direct("K", f_p),
-        seen=_product("K", y_x),
-        seen_direct=_direct("K", y_p),
+        product="\n".join(PUSHED.format(row=i, sum=row) for i, row in enumerate(_products(f_x))),
+        direct=_direct("PUSH", f_p),
+        seen="\n".join(f"            K[{i}][d][l] = {row};" for i, row in enumerate(_products(y_x))),
+        seen_direct=_direct("SEE", y_p),
         jacobian=f_x.nnz(),
         gradient=f_p.nnz(),
         sight_jacobian=y_x.nnz(),
@@ -522,18 +544,18 @@ def source(rollout: Equations) -> str:
     )
 
 
-def _product(target: str, matrix: Any) -> str:
-    """Return C that multiplies a sparse matrix, whose entries are in `a`, with a column of X."""
+def _products(matrix: Any) -> list[str]:
+    """Return C for each row of a sparse matrix, whose entries are in `a`, times a column of X."""
     terms: list[list[str]] = [[] for _ in range(matrix.size1())]
     for index, (i, j) in enumerate(zip(*matrix.sparsity().get_triplet(), strict=True)):
         terms[i].append(f"a[{index}][l] * X[{j}][d][l]")
-    return "\n".join(f"            {target}[{i}][d][l] = {' + '.join(row) or '0'};" for i, row in enumerate(terms))
+    return [" + ".join(row) or "0" for row in terms]
 
 
-def _direct(target: str, matrix: Any) -> str:
+def _direct(macro: str, matrix: Any) -> str:
     """Return C that adds a sparse matrix, whose entries are in `b`, to the columns of the parameters."""
     return "\n".join(
-        f"    ADD({target}, {i}, {j}, {index})"
+        f"    {macro}({i}, {j}, {index})"
         for index, (i, j) in enumerate(zip(*matrix.sparsity().get_triplet(), strict=True))
     )
 

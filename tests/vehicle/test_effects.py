@@ -161,7 +161,7 @@ def turn_rate(car: Vehicle, delta: float = 0.1, speed: float = 1.5) -> float:
         ("steering_saturation", {"limit": 0.05}, -1),
         ("steering_backlash", {"play": 0.02}, -1),
         ("steering_compliance", {"compliance": 0.004}, -1),
-        ("locked_differential", {"stiffness": 0.4}, -1),
+        ("locked_differential", {"track_width": 0.2}, -1),
         ("yaw_damping", {"coefficient": 0.2}, -1),
         ("cog_longitudinal_offset", {"offset": 0.03}, None),
     ],

@@ -1,0 +1,66 @@
+"""The compiled kernels of a stage: each holds many effects, so that no compilation stands inside a diagnosis."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from racerl.gap.evidence import Evidence
+from racerl.gap.presence import only_shifts, with_all
+from racerl.gap.stage import SHIFTS, StageEquations, StageRollout
+from racerl.vehicle.effects import Effect
+from racerl.vehicle.parameter import values
+from racerl.vehicle.vehicle import STATE, Vehicle
+
+
+class StageKernel:
+    """One stage of a vehicle with every effect of a catalogue in it, compiled once for any set of them."""
+
+    def __init__(
+        self, evidence: Evidence, vehicle: Vehicle, free: Sequence[str], catalogue: Mapping[str, Effect]
+    ) -> None:
+        everything = evidence.stage.vehicle(with_all(vehicle, catalogue))
+        table = values(everything)
+        inside = [name for name in table if name in free or ".effect." in name]
+        presences = [name for name in table if name.endswith(".presence")]
+        inside = StageEquations(everything, [*inside, *presences], evidence.observed).effective()
+        # what is zero is left out of the kernel, except in effects; anything else may differ from car to car
+        given = [name for name, v in table.items() if name not in inside and (float(v) != 0.0 or "effects." in name)]
+        self.rollout = StageRollout(everything, [*inside, *SHIFTS], evidence.observed, given=given)
+        self.catalogue = catalogue
+
+
+class StageKernels:
+    """The kernels of a stage, by the effects in them: none, one, all that leave it apart from other stages, or all.
+
+    Few effects make fast kernels, many spare the compiler: sets of two and more share one.
+    """
+
+    def __init__(
+        self, evidence: Evidence, vehicle: Vehicle, free: Sequence[str], catalogue: Mapping[str, Effect]
+    ) -> None:
+        alone = StageEquations(evidence.stage.vehicle(vehicle), [], evidence.observed).active
+        self._coupling = {
+            name
+            for name, effect in catalogue.items()
+            if not only_shifts(effect) and set(_active(evidence, vehicle, {name: effect})) & set(STATE) - set(alone)
+        }
+        self._make = lambda effects: StageKernel(evidence, vehicle, free, effects)
+        self._catalogue = catalogue
+        self._made: dict[frozenset[str], StageKernel] = {}
+
+    def choose(self, vehicle: Vehicle, *, whole: bool = False) -> StageKernel:
+        """Return the least kernel that has all the vehicle's effects in it; `whole`: and all that leave it apart."""
+        present = {name for name in vehicle.effects if not only_shifts(vehicle.effects[name])}
+        names = frozenset(present)
+        if whole or len(present) > 1:
+            names = (
+                frozenset(self._catalogue) if self._coupling & present else frozenset(self._catalogue) - self._coupling
+            )
+        if names not in self._made:
+            chosen = {name: effect for name, effect in self._catalogue.items() if name in names or only_shifts(effect)}
+            self._made[names] = self._make(chosen)
+        return self._made[names]
+
+
+def _active(evidence: Evidence, vehicle: Vehicle, effects: Mapping[str, Effect]) -> list[str]:
+    car = evidence.stage.vehicle(replace(vehicle, effects={**vehicle.effects, **effects}))
+    return StageEquations(car, [], evidence.observed).active

@@ -1,0 +1,90 @@
+"""The score test: what first-order theory says of every effect of the catalogue, in one pass over the log."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from racerl.gap.follow import follow
+from racerl.gap.presence import only_shifts
+from racerl.gap.problem import StageProblem
+from racerl.gap.stage import SHIFTS
+from racerl.vehicle.vehicle import STATE
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Score:
+    """What first-order theory says of adding effects at their usual sizes: H and g over their presences."""
+
+    names: list[str]
+    H: Array
+    g: Array
+
+    def gains(self) -> dict[str, float]:
+        """Return by how much the cost would fall with each effect alone, at its best size of either sign."""
+        stiffness = np.maximum(np.diag(self.H), 1e-12)
+        return dict(zip(self.names, (self.g**2 / stiffness).tolist(), strict=True))
+
+    def cosines(self) -> Array:
+        """Return how alike effects look in this data, (E, E): ± 1 cannot be told apart."""
+        size = np.sqrt(np.maximum(np.diag(self.H), 1e-12))
+        cosine: Array = self.H / np.outer(size, size)
+        return cosine
+
+
+def score(problem: StageProblem, theta: Mapping[str, float], initial: Array) -> Score:
+    """Return the score of all effects that the kernel knows and the vehicle lacks.
+
+    The sensitivities to the nominal parameters and to every window's initial state are projected out: what they can
+    explain does not count for an effect.
+    """
+    rollout, size = problem.rollout, len(problem.rollout.names)
+    car = problem.everything(theta)
+    absent = [name for name in problem.kernel.catalogue if name not in problem.vehicle.effects]
+    columns = {f"effects.{name}.presence": name for name in absent if f"effects.{name}.presence" in rollout.names}
+    windows = problem.windows(theta)
+    windows.initial[: len(STATE)] = initial[: len(STATE)]
+    windows.initial[len(STATE) :] = follow(car, problem.evidence)[:, problem.evidence.start]
+    heard = [size + i for i, name in enumerate(rollout.active) if problem.heard(name)]
+    asked = [*range(size), *heard]
+    parts = rollout.accumulate(problem.parameters(theta), windows, problem.threads, asked, problem.silent())
+    trust = np.array([problem.evidence.trust(rollout.active[i - size]) for i in heard])
+    xx = parts.H[:, size:, size:] + np.diag(trust)
+    scale = 1e-10 * np.einsum("waa->wa", xx).max(axis=1)
+    gain = parts.H[:, :size, size:] @ np.linalg.inv(xx + scale[:, None, None] * np.eye(len(heard)))
+    H = (parts.H[:, :size, :size] - gain @ parts.H[:, size:, :size]).sum(axis=0)
+    g = (parts.g[:, :size] - np.einsum("wpx,wx->wp", gain, parts.g[:, size:])).sum(axis=0)
+    nominal = problem.mixing
+    spread = nominal.T @ H @ nominal
+    spread += 1e-9 * np.diag(np.diag(spread)) + 1e-12 * np.eye(len(spread))
+    picked = np.zeros((size, len(absent)))
+    for k, name in enumerate(absent):
+        picked[:, k] = _direction(problem, rollout.names, name, columns)
+    away = picked - nominal @ np.linalg.solve(spread, nominal.T @ H @ picked)
+    return Score(absent, away.T @ H @ away, away.T @ g)
+
+
+def merged(one: Score, other: Score) -> Score:
+    """Return the sum of two stages' scores, over the effects of either."""
+    names = [*one.names, *(name for name in other.names if name not in one.names)]
+    H, g = np.zeros((len(names), len(names))), np.zeros(len(names))
+    for part in (one, other):
+        place = [names.index(name) for name in part.names]
+        H[np.ix_(place, place)] += part.H
+        g[place] += part.g
+    return Score(names, H, g)
+
+
+def _direction(problem: StageProblem, kernel: Sequence[str], name: str, columns: Mapping[str, str]) -> Array:
+    """Return where an effect of its usual size leads among the kernel's parameters."""
+    direction = np.zeros(len(kernel))
+    effect = problem.kernel.catalogue[name]
+    if only_shifts(effect):
+        for shift, seconds in zip(SHIFTS, problem.evidence.stage.shifts(effect), strict=True):
+            direction[kernel.index(shift)] = seconds
+    elif f"effects.{name}.presence" in columns:
+        direction[kernel.index(f"effects.{name}.presence")] = 1.0
+    return direction
