@@ -174,6 +174,19 @@ def identify(arguments: Logs = None) -> None:
 
 
 @app.command(context_settings=HYDRA)
+def gap(
+    arguments: Logs = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Folder for the results; the same as out=…")] = None,
+) -> None:
+    """Find what the real car does and the model does not: racerl gap drive.csv.gz out=outputs/gap/first
+
+    Locates the gap, names the missing effect, adds it and proves it on held-out windows. Groups: data vehicle. Writes
+    verdict.json, model.yaml, which every command takes as vehicle=, and report.html.
+    """
+    _run("gap", [*(arguments or []), *([f"out={out}"] if out else [])], _gap, positional="logs")
+
+
+@app.command(context_settings=HYDRA)
 def bench(arguments: Benchmarks = None) -> None:
     """Measure how fast racerl is on this machine: racerl bench identify
 
@@ -277,6 +290,41 @@ def _identify(settings: "Settings", out: Path) -> None:
     if facts["fitted"]:
         lines.append(f"vehicle in {out / MODEL}; drive it with: racerl train vehicle={out / MODEL}")
     for line in [*lines, f"report in {page}"]:
+        console.print(line, highlight=False, soft_wrap=True, markup=False)
+
+
+def _gap(settings: "Settings", out: Path) -> None:
+    from racerl.console import Bar
+    from racerl.gap.diagnose import MODEL, gap
+    from racerl.report.gap_page import draw_gap
+
+    console = _console()
+    with Bar(console, "gap") as bar:
+        facts = gap(settings, out, lambda what, share: bar.show(share, what))
+    page = draw_gap(out)
+    _print_verdict(console, facts)
+    for line in (f"vehicle in {out / MODEL}; drive it with: racerl train vehicle={out / MODEL}", f"report in {page}"):
+        console.print(line, highlight=False, soft_wrap=True, markup=False)
+
+
+def _print_verdict(console: Any, facts: dict[str, Any]) -> None:
+    lines = [f"verdict: {facts['verdict']}: {facts['reason']}"]
+    for effect in facts["effects"]:
+        for name, p in effect["parameters"].items():
+            interval = f"{p['ci95'][0]:.4g} … {p['ci95'][1]:.4g}"
+            lines.append(f"  {effect['name']}.{name} = {p['value']:.4g} {p['unit']} ({interval})")
+    if facts["ambiguous_with"]:
+        lines.append(f"not to be told from: {', '.join(facts['ambiguous_with'])}")
+    if facts["next_manoeuvre"]:
+        lines.append(f"drive next: {facts['next_manoeuvre']}")
+    if gap := facts["gap"]:
+        lines.append(
+            f"gap over the noise: {gap['unfitted']:.2f} as configured, {gap['before']:.2f} refitted, "
+            f"{gap['after']:.2f} with the effects found"
+        )
+    for remark in facts["remarks"]:
+        lines.append(f"warning: {remark}")
+    for line in lines:
         console.print(line, highlight=False, soft_wrap=True, markup=False)
 
 

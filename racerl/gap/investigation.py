@@ -11,12 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from racerl.data.log import Log
 from racerl.gap.evidence import Evidence
 from racerl.gap.kernels import StageKernels
-from racerl.gap.problem import Fit, Problem, StageProblem, Unknown, expected_cost
+from racerl.gap.problem import Fit, Problem, StageProblem, Unknown, expected_errors
 from racerl.gap.score import Score, merged, score
-from racerl.gap.stage import STAGES
 from racerl.identify.unknowns import Unknowns
 from racerl.vehicle.effects import Effect
 from racerl.vehicle.parameter import replace_values, specifications, values
@@ -58,19 +56,16 @@ class Investigation:
 
     def __init__(
         self,
-        logs: Sequence[Log],
+        evidence: Mapping[str, Evidence],
         vehicle: Vehicle,
         nominal: Unknowns,
         catalogue: Mapping[str, Sequence[Effect]],
         *,
-        length: int = 85,
-        slowest: float = 0.5,
         folds: int = 4,
         threads: int = 1,
         seed: int = 0,
     ) -> None:
-        cut = [Evidence.of(logs, stage, length, slowest) for stage in STAGES]
-        self.evidence = {each.stage.name: each for each in cut if each is not None and len(each.start)}
+        self.evidence = dict(evidence)
         self.vehicle, self.catalogue, self.threads = vehicle, catalogue, threads
         self.unknowns = [
             Unknown(*row)
@@ -88,7 +83,10 @@ class Investigation:
         self.noise = {name: each.noise() for name, each in self.evidence.items()}
         self.sigma = dict(self.noise)
         self.base = self._nominal()
-        self.floor = self.expected(self.base, seed)
+        self.noise_errors = self.expected(self.base, seed)
+        self.floor = {
+            name: float(((errors / self.sigma[name][:, None]) ** 2).sum()) for name, errors in self.noise_errors.items()
+        }
         self.folds = self._deal(folds)
 
     def _nominal(self) -> Found:
@@ -96,9 +94,7 @@ class Investigation:
         found = self._fit(frozenset(), self.vehicle, None, NOMINAL)
         for name, evidence in self.evidence.items():
             stage = next(s for s in found.problem.stages if s.evidence is evidence)
-            windows = replace(stage.windows(found.theta), initial=found.initial[name])
-            error = stage.rollout.predict(stage.parameters(found.theta), windows, self.threads) - windows.measured
-            left = (error**2).mean(axis=(0, 2))
+            left = (stage.errors(found.theta, found.initial[name]) ** 2).mean(axis=(0, 2))
             self.noise[name] = np.minimum(self.noise[name], np.sqrt(left))  # local polynomials miss fast motion
             self.sigma[name] = np.sqrt(self.noise[name] ** 2 + SHARE**2 * left)
         return self._fit(frozenset(), found.vehicle, found, NOMINAL)
@@ -200,14 +196,17 @@ class Investigation:
             return found
         return self._fit(found.effects, found.vehicle, found, NOMINAL, list(found.cost))
 
-    def expected(self, found: Found, seed: int) -> dict[str, float]:
-        """Return the cost per stage that sensors' noise alone would leave if a fitted vehicle were right."""
+    def expected(self, found: Found, seed: int) -> dict[str, Array]:
+        """Return the errors (T + 1, C, W) per stage that sensors' noise alone would leave in a right vehicle."""
         return {
-            (name := stage.evidence.stage.name): float(
-                expected_cost(stage, found.theta, initial, self.noise[name], seed).sum()
-            )
+            (name := stage.evidence.stage.name): expected_errors(stage, found.theta, initial, self.noise[name], seed)
             for stage, initial in zip(found.problem.stages, found.fit.initial, strict=True)
         }
+
+    def everywhere(self, found: Found) -> Found:
+        """Identify all parameters again, over all stages, with the effects of a fit."""
+        names = list(self.evidence)
+        return self._fit(found.effects, found.vehicle, self._start(found, names), REFINE, names)
 
     def without(self, base: Found, name: str) -> Found:
         """Fit a vehicle that lacks one effect of a fitted one, over the same stages."""
@@ -242,6 +241,38 @@ class Investigation:
         names = list(found.cost)
         cost = found.problem.held_out(found.fit, [[fold[name] for name in names] for fold in self.folds])
         return dict(zip(names, cost, strict=True))
+
+    def errors(self, found: Found) -> dict[str, Array]:
+        """Return simulated − measured (T + 1, C, W) per stage under a fit as it is."""
+        return {
+            stage.evidence.stage.name: stage.errors(found.theta, initial)
+            for stage, initial in zip(found.problem.stages, found.fit.initial, strict=True)
+        }
+
+    def held_out_errors(self, found: Found) -> dict[str, Array]:
+        """Return simulated − measured (T + 1, C, W) per stage, likewise."""
+        names = list(found.cost)
+        errors = found.problem.held_out_errors(found.fit, [[fold[name] for name in names] for fold in self.folds])
+        return dict(zip(names, errors, strict=True))
+
+    def deviations(self, found: Found) -> dict[str, float]:
+        """Return the standard deviation of every parameter of a fit."""
+        covariance = found.problem.covariance(found.fit, [self.blocks(name) for name in found.cost])
+        deviations = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        return dict(zip(found.problem.names, deviations.tolist(), strict=True))
+
+    def unfitted(self) -> Found:
+        """Return the vehicle as configured, with initial states fitted only."""
+        problems = [
+            StageProblem.of(self.evidence[name], self.kernels[name], self.vehicle, [], self.sigma[name], self.threads)
+            for name in self.evidence
+        ]
+        problem = Problem(problems, [])
+        fit = problem.fit({}, [self.base.initial[name] for name in self.evidence], None, REFINE)
+        table = {name: float(value) for name, value in values(self.vehicle).items()}
+        names = list(self.evidence)
+        initial, cost = dict(zip(names, fit.initial, strict=True)), dict(zip(names, fit.cost, strict=True))
+        return Found(frozenset(), self.vehicle, table, initial, cost, fit, problem)
 
 
 def _free(vehicle: Vehicle, effect: str) -> list[Unknown]:

@@ -48,13 +48,13 @@ class StageKernels:
         self._made: dict[frozenset[str], StageKernel] = {}
 
     def choose(self, vehicle: Vehicle, *, whole: bool = False) -> StageKernel:
-        """Return the least kernel that has all the vehicle's effects in it; `whole`: and all that leave it apart."""
+        """Return the least kernel that has all the vehicle's effects in it; `whole`: the one that has all there are."""
         present = {name for name in vehicle.effects if not only_shifts(vehicle.effects[name])}
-        names = frozenset(present)
-        if whole or len(present) > 1:
-            names = (
-                frozenset(self._catalogue) if self._coupling & present else frozenset(self._catalogue) - self._coupling
-            )
+        names, everything = frozenset(present), frozenset(self._catalogue)
+        if whole or (len(present) > 1 and self._coupling & present):
+            names = everything
+        elif len(present) > 1:
+            names = everything - self._coupling
         if names not in self._made:
             chosen = {name: effect for name, effect in self._catalogue.items() if name in names or only_shifts(effect)}
             self._made[names] = self._make(chosen)

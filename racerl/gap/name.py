@@ -20,6 +20,7 @@ HOPELESS = 30.0  # first-order gain, a χ², below which no effect is worth a fi
 ROUNDS = 3
 RESAMPLES = 2000
 CLEAR = 4.0  # standard errors by which a gain must differ from zero
+SAME = 2.0  # standard errors within which candidates explain alike
 WILD = 30.0  # mean squared deviation of a window beyond which its size says nothing more
 WORTH = 0.04  # share of the first excess, and of what is left of it before the round, that an effect must explain
 
@@ -41,6 +42,11 @@ class Scored:
     p: float
     explained: float
     behind: float = 0.0
+
+    @property
+    def size(self) -> int:
+        """Number of the effect's own parameters."""
+        return sum(name.startswith(f"effects.{self.name}.") for name in self.found.problem.names)
 
     @property
     def clear(self) -> bool:
@@ -106,6 +112,11 @@ def _round(judge: "Judge", decision: Decision, on_progress: Callable[[str, float
         for row, close in zip(scored, near, strict=True)
     ]
     scored.sort(key=lambda row: -row.gain)
+    if scored:
+        # of those that explain alike, the one with the fewest parameters comes first
+        alike = [row for row in scored if judge.behind(scored[0], row, decision.cost) < SAME]
+        first = min(alike, key=lambda row: row.size)
+        scored = [first, *(row for row in scored if row is not first)]
     return [replace(row, behind=judge.behind(scored[0], row, decision.cost)) for row in scored]
 
 

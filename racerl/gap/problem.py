@@ -6,7 +6,7 @@ Every window has a free initial state x_0; the effects' own states begin near wh
 Levenberg–Marquardt on the normal equations, initial states eliminated window by window.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -26,7 +26,8 @@ Array = NDArray[np.float64]
 OWN_SPREAD = 0.5  # deviation of own initial states, in their spread over the windows
 FIXED = 1e-6  # deviation of states that are known, such as clocks
 WORST = 1e8  # damping at which no step helps any more
-HELD_DAMPING = 1e-2  # of the step to a fold's parameters
+HELD_DAMPING = 1e-2  # of the step to a fold's parameters, at first
+SPOILT = 1.02  # times the cost of the windows that a step was made from, above which it went too far
 
 
 @dataclass(frozen=True)
@@ -124,6 +125,11 @@ class StageProblem:
         """Return the windows with inputs at θ's shifts, weighted by the noise."""
         windows = self.evidence.windows(self.rollout.vehicle.states, self.shifts(theta))
         return replace(windows, weight=np.repeat(1.0 / self.sigma[:, None], windows.initial.shape[1], axis=1))
+
+    def errors(self, theta: Mapping[str, float], initial: Array) -> Array:
+        """Return simulated − measured (T + 1, C, W)."""
+        windows = replace(self.windows(theta), initial=initial)
+        return self.rollout.predict(self.parameters(theta), windows, self.threads) - windows.measured
 
     def own_states(self, theta: Mapping[str, float]) -> Array:
         """Return the effects' own states (S − 8, W) at the windows' starts, led there by the measured motion."""
@@ -301,31 +307,79 @@ class Problem:
         return Fit(theta, [stage.initial for stage in work], at[0], at[1], converged)
 
     def held_out(self, fit: Fit, folds: Sequence[Sequence[NDArray[np.bool_]]]) -> list[Array]:
-        """Return the cost of every window (W,) per stage, under parameters that were found without its fold.
+        """Return the cost of every window (W,) per stage, under parameters that were found without its fold."""
+        cost = [np.zeros_like(line.cost) for line in fit.lines]
+        for i, mask, work in self._held(fit, folds):
+            cost[i][mask] = work.settled()
+        return cost
+
+    def held_out_errors(self, fit: Fit, folds: Sequence[Sequence[NDArray[np.bool_]]]) -> list[Array]:
+        """Return simulated − measured (T + 1, C, W) per stage, likewise."""
+        errors = [np.zeros((s.evidence.length + 1, len(s.sigma), len(s.evidence.start))) for s in self.stages]
+        for i, mask, work in self._held(fit, folds):
+            work.settled()
+            errors[i][:, :, mask] = work.errors()
+        return errors
+
+    def _held(
+        self, fit: Fit, folds: Sequence[Sequence[NDArray[np.bool_]]]
+    ) -> Iterator[tuple[int, NDArray[np.bool_], "_Work"]]:
+        """Yield (stage, windows, work) of every fold under parameters that were found without it.
 
         `folds` are masks of the windows per stage. Parameters of a fold by the infinitesimal jackknife,
         θ − θ_f = −H_f̄⁻¹ g_f with H_f̄ of the windows outside and g_f of those inside of it, damped where the data say
-        little; the initial states of its windows are then found anew.
+        little; the initial states of its windows follow.
         """
-        cost = [np.zeros_like(line.cost) for line in fit.lines]
-        at = np.array([fit.theta[name] for name in self.names])
         for fold in folds:
-            outside, _ = self._total(fit.lines, 0.0, [~mask for mask in fold])
-            _, inside = self._total(fit.lines, 0.0, fold)
-            moved = self._moved(outside, -inside, at, HELD_DAMPING)
-            theta = dict(zip(self.names, moved.tolist(), strict=True))
-            for i, (stage, line, mask) in enumerate(zip(self.stages, fit.lines, fold, strict=True)):
-                alone = replace(stage, names=(), vehicle=_with(stage.vehicle, theta))
-                work = _Work(alone, {}, np.flatnonzero(mask))
+            seen = [~mask for mask in fold]
+            H, _ = self._total(fit.lines, 0.0, seen)
+            _, g = self._total(fit.lines, 0.0, fold)
+            before = sum(float(line.cost[mask].sum()) for line, mask in zip(fit.lines, seen, strict=True))
+            damping = HELD_DAMPING
+            while True:  # until the step spoils the windows that it was made from no longer
+                trained = list(self._at(fit, self._moved(H, -g, self._vector(fit), damping), seen))
+                if sum(work.squares() for _, _, work in trained) < SPOILT * before or damping > WORST:
+                    break
+                damping *= 30.0
+            yield from self._at(fit, self._moved(H, -g, self._vector(fit), damping), fold)
+
+    def _vector(self, fit: Fit) -> Array:
+        return np.array([fit.theta[name] for name in self.names])
+
+    def _at(
+        self, fit: Fit, moved: Array, masks: Sequence[NDArray[np.bool_]]
+    ) -> Iterator[tuple[int, NDArray[np.bool_], "_Work"]]:
+        """Yield (stage, windows, work) for some windows at other parameters, initial states following."""
+        step = moved - self._vector(fit)
+        theta = dict(zip(self.names, moved.tolist(), strict=True))
+        for i, (stage, line, mask) in enumerate(zip(self.stages, fit.lines, masks, strict=True)):
+            if mask.any():
+                work = _Work(replace(stage, names=(), vehicle=_with(stage.vehicle, theta)), {}, np.flatnonzero(mask))
                 start = fit.initial[i].copy()
-                start[work.rows] += line.follow((moved - at)[self._places(stage)], 0.0)
+                start[work.rows] += line.follow(step[self._places(stage)], 0.0)
                 work.initial = start[:, mask]
-                cost[i][mask] = work.settled()
-        return cost
+                yield i, mask, work
+
+    def covariance(self, fit: Fit, blocks: Sequence[NDArray[np.int64]]) -> Array:
+        """Return the covariance of θ (N, N), robust against errors that are alike within blocks of windows.
+
+        A⁻¹ (Σ_b g_b g_bᵀ) A⁻¹ with A = H and the priors, g_b the gradient of a block.
+        """
+        H, _ = self._total(fit.lines, 0.0)
+        inverse = np.linalg.inv(H + np.diag(self.scale**-2.0))
+        meat = np.zeros_like(H)
+        for stage, line, block in zip(self.stages, fit.lines, blocks, strict=True):
+            place = self._places(stage)
+            _, slope = line.reduced(0.0)
+            sums = np.stack([np.bincount(block, column) for column in slope.T], axis=1)  # (B, N)
+            sums -= sums.mean(axis=0)
+            meat[np.ix_(place, place)] += sums.T @ sums
+        covariance: Array = inverse @ meat @ inverse
+        return covariance
 
 
-def expected_cost(stage: StageProblem, theta: Mapping[str, float], initial: Array, noise: Array, seed: int) -> Array:
-    """Return what each window (W,) would cost if the vehicle were right: one draw of the sensors' `noise` (C,).
+def expected_errors(stage: StageProblem, theta: Mapping[str, float], initial: Array, noise: Array, seed: int) -> Array:
+    """Return the errors (T + 1, C, W) that a right vehicle would leave: one draw of the sensors' `noise` (C,).
 
     Noise of measured inputs counts: it drives the car that is simulated, not the one that was measured.
     """
@@ -338,7 +392,8 @@ def expected_cost(stage: StageProblem, theta: Mapping[str, float], initial: Arra
     shown = truth + noise[:, None] * generator.standard_normal(truth.shape)
     work.windows = replace(work.windows, measured=np.ascontiguousarray(shown))
     work.initial = initial.copy()
-    return work.settled()
+    work.settled()
+    return work.errors()
 
 
 class _Work:
@@ -411,3 +466,13 @@ class _Work:
         before = self.linearise({})
         self.initial = self.initial + self.spread(before, np.zeros(0), 0.0)
         return np.fmin(before.cost, self.linearise({}).cost)
+
+    def errors(self) -> Array:
+        """Return simulated − measured (T + 1, C, W) from the initial states as they are."""
+        windows = replace(self.windows, initial=self.initial)
+        shown = self.problem.rollout.predict(self.problem.parameters({}), windows, self.problem.threads)
+        return shown - windows.measured
+
+    def squares(self) -> float:
+        """Return the summed squared errors over the noise, as the initial states are."""
+        return float(((self.errors() / self.problem.sigma[:, None]) ** 2).sum())

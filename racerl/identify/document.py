@@ -13,12 +13,16 @@ DIGITS = 6  # significant ones
 
 
 def write_model(
-    path: Path, settings: Mapping[str, Any], changes: Mapping[str, float], facts: Mapping[str, Any]
+    path: Path,
+    settings: Mapping[str, Any],
+    changes: Mapping[str, float],
+    facts: Mapping[str, Any],
+    command: str = "identify",
 ) -> None:
-    """Write the vehicle of `settings` with the identified values put in, each with its 95 % interval as a comment."""
+    """Write the vehicle of `settings` with the values put in that a command found, each with its 95 % interval."""
     rounded = {name: float(f"{value:.{DIGITS}g}") for name, value in changes.items()}
     document = vehicle_document(settings, rounded, "wheel_speed")
-    lines = [f"# {line}" for line in _provenance(facts)]
+    lines = [f"# {line}" for line in _provenance(facts, command)]
     place: list[str] = []
     for line in yaml.safe_dump(document, sort_keys=False).splitlines():
         key = line.split(":")[0]
@@ -29,9 +33,9 @@ def write_model(
     write_text(path, "\n".join(lines) + "\n")
 
 
-def _provenance(facts: Mapping[str, Any]) -> list[str]:
+def _provenance(facts: Mapping[str, Any], command: str) -> list[str]:
     logs = ", ".join(f"{log['name']} ({log['seconds']:.0f} s, {log['runs']} runs)" for log in facts["logs"])
-    lines = [f"Identified by racerl identify from {logs}."]
+    lines = [f"Identified by racerl {command} from {logs}."]
     if facts.get("rmse"):
         last = facts["rmse"][str(facts["horizon"])]
         errors = ", ".join(

@@ -7,7 +7,9 @@ from racerl.assemble import conf_folder
 from racerl.config import compose_settings
 from racerl.data.log import Log
 from racerl.gap.catalogue import starts
+from racerl.gap.evidence import Evidence
 from racerl.gap.investigation import Investigation
+from racerl.gap.stage import STAGES
 from racerl.identify.unknowns import choose_unknowns
 from racerl.record.record import Plan, table
 from racerl.vehicle.load import load_vehicle
@@ -26,7 +28,8 @@ def investigate(log: Log, *names: str) -> Investigation:
     unknowns = choose_unknowns(vehicle, settings["priors"], [], vehicle)
     extent = np.array([[log.array(axis).min(), log.array(axis).max()] for axis in ("x", "y")])
     catalogue = {name: starts(name, conf_folder() / "vehicle" / "effect", extent) for name in names}
-    return Investigation([log], vehicle, unknowns, catalogue, threads=2)
+    cut = [Evidence.of([log], stage, 85, 0.5) for stage in STAGES]
+    return Investigation({each.stage.name: each for each in cut}, vehicle, unknowns, catalogue, threads=2)
 
 
 @pytest.fixture(scope="session")

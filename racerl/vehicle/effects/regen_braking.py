@@ -1,6 +1,6 @@
 """The motor brakes by itself while the command is below the wheel speed.
 
-Formula: ω̇ ← ω̇ − c ω where ω_ref < ω, blended over 0.1 m/s.
+Formula: ω̇ ← ω̇ − c ω tanh(e/w), e = ω − ω_ref where positive: the demand e calls on the braking up to its limit c ω.
 Source: generator torque of a shorted motor, proportional to speed.
 In data: slowing down starts steeper at high speed than the first-order lag foretells.
 Excited by: speed steps down from several speeds.
@@ -20,12 +20,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class RegenBraking(Effect):
-    """Braking rate in proportion to speed."""
+    """Braking rate in proportion to speed, as far as the command asks for it."""
 
-    rate: Scalar = parameter("1/s", 0.0, 20.0, "c")
+    rate: Scalar = parameter("1/s", 0.0, 50.0, "c")
+    reach: Scalar = parameter("m/s", 0.05, 5.0, "w, demand at which most of the braking acts")
 
     def drive_rate(self, rate: Scalar, course: "Course", ops: Ops) -> Scalar:
         """Return ω̇ − c ω while braking."""
         speed, reference, _ = course.drive
-        braking = 0.5 * (1.0 + ops.tanh((speed - reference) / SMOOTH_SPEED))
-        return rate - self.rate * speed * braking
+        demand = speed - reference
+        demand = 0.5 * (demand + ops.sqrt(demand * demand + SMOOTH_SPEED * SMOOTH_SPEED) - SMOOTH_SPEED)
+        return rate - self.rate * speed * ops.tanh(demand / self.reach)

@@ -1,0 +1,260 @@
+"""`racerl gap`: locate, name, add, prove. Each step leaves its own JSON; an interrupted run goes on behind it."""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from racerl.data.inspect import inspect
+from racerl.data.load import load_given
+from racerl.data.log import Log
+from racerl.documents import conf_folder, read_json, write_json, write_text
+from racerl.errors import ConfigError
+from racerl.gap.catalogue import starts
+from racerl.gap.evidence import Evidence
+from racerl.gap.investigation import Found, Investigation
+from racerl.gap.locate import locate
+from racerl.gap.name import Decision, name_effects
+from racerl.gap.prove import prove
+from racerl.gap.stage import STAGES
+from racerl.gap.verdict import Verdict, intervals, judge
+from racerl.identify.document import write_model
+from racerl.identify.unknowns import choose_unknowns
+from racerl.run import RunFolder
+from racerl.vehicle import catalogue
+from racerl.vehicle.load import load_vehicle, vehicle_document
+from racerl.vehicle.parameter import specifications
+from racerl.vehicle.vehicle import Vehicle
+
+LOCATE, NAME, PROOF, VERDICT, MODEL = "locate.json", "name.json", "prove.json", "verdict.json", "model.yaml"
+SHORTEST = 30.0  # s of driving, below which nothing can be told
+FEWEST = 20  # windows of a stage, below which it is left out
+KNOWN = 0.05  # half width of an interval, as a share of the value, within which a parameter counts as identified
+PROGRAMME = (
+    "ten runs or more with step steers of three sizes, slow ramps to full lock, circles of two radii at two speeds "
+    "both ways round, speed steps up and down, and coast-downs, at up to the tyres' limit"
+)
+OnProgress = Callable[[str, float], None]
+
+
+def gap(settings: Mapping[str, Any], out: Path, on_progress: OnProgress = lambda what, share: None) -> dict[str, Any]:
+    """Diagnose the logs of `settings` and write the verdict, the vehicle and each step's findings into `out`.
+
+    Raises ConfigError, VehicleError, LogError or RunError; a log that cannot tell gives a verdict, not an error.
+    """
+    began = time.perf_counter()
+    check(settings)
+    vehicle = load_vehicle(settings["vehicle"])
+    logs = load_given(settings)
+    folder = RunFolder.start(out, "gap", settings, seed=settings["seed"], threads=settings["threads"])
+    on_progress("refitting the vehicle", 0.0)
+    evidence = cut(logs, settings)
+    told = {
+        "logs": [
+            {"name": log.name, "seconds": round(log.seconds, 1), "runs": int(log.table["run"].nunique())}
+            for log in logs
+        ],
+        "remarks": [
+            f"{log.name}: {line}" for log in logs for line in inspect(log, float(vehicle.wheelbase))["warnings"]
+        ],
+        "untestable": _untestable(evidence),
+    }
+    if not evidence:
+        facts = _silent(logs) | told
+        write_text(folder.path / MODEL, yaml.safe_dump(vehicle_document(settings["vehicle"], {}, "wheel_speed")))
+    else:
+        investigation = investigate(evidence, logs, vehicle, settings)
+        facts, found = _steps(investigation, settings, folder.path, on_progress)
+        facts |= told
+        _write_vehicle(folder.path / MODEL, settings, facts, investigation, found)
+    write_json(folder.path / VERDICT, facts)
+    folder.finish(seconds=round(time.perf_counter() - began, 2))
+    return facts
+
+
+def check(settings: Mapping[str, Any]) -> None:
+    """Raise ConfigError for settings of the wrong kind or out of range."""
+    whole = {"window": (20, 1000), "folds": (2, 20), "seed": (0, 2**31), "threads": (1, 256)}
+    for key, (low, high) in whole.items():
+        value = settings[key]
+        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+            raise ConfigError(f"{key} = {value}: allowed is a whole number, {low} … {high}")
+    slowest = settings["slowest"]
+    if isinstance(slowest, bool) or not isinstance(slowest, (int, float)) or not 0.0 <= slowest <= 50.0:
+        raise ConfigError(f"slowest = {slowest}: allowed is 0 … 50 m/s")
+    for name in _list(settings["without"]):
+        catalogue.entry(name)
+
+
+def cut(logs: Sequence[Log], settings: Mapping[str, Any]) -> dict[str, Evidence]:
+    """Return the windows of every stage that the logs have the channels and the length for."""
+    found = [Evidence.of(logs, stage, settings["window"], settings["slowest"]) for stage in STAGES]
+    return {each.stage.name: each for each in found if each is not None and len(each.start) >= FEWEST}
+
+
+def investigate(
+    evidence: Mapping[str, Evidence], logs: Sequence[Log], vehicle: Vehicle, settings: Mapping[str, Any]
+) -> Investigation:
+    """Return the evidence with the vehicle refitted to it, and the effects that it may lack."""
+    unknowns = choose_unknowns(vehicle, settings["priors"], _list(settings["hold"]), vehicle)
+    without = {*_list(settings["without"]), *vehicle.effects}
+    extent = np.array([_extent(logs, axis) for axis in ("x", "y")])
+    folder = conf_folder() / "vehicle" / "effect"
+    candidates = {name: starts(name, folder, extent) for name in catalogue.names() if name not in without}
+    return Investigation(
+        evidence,
+        vehicle,
+        unknowns,
+        candidates,
+        folds=settings["folds"],
+        threads=settings["threads"],
+        seed=settings["seed"],
+    )
+
+
+def _extent(logs: Sequence[Log], axis: str) -> tuple[float, float]:
+    columns = [log.array(axis) for log in logs if axis in log.channels]
+    return (min(float(c.min()) for c in columns), max(float(c.max()) for c in columns)) if columns else (0.0, 0.0)
+
+
+def _list(value: Any) -> list[str]:
+    return [value] if isinstance(value, str) else list(value)
+
+
+def _steps(
+    investigation: Investigation, settings: Mapping[str, Any], folder: Path, on_progress: OnProgress
+) -> tuple[dict[str, Any], Found]:
+    """Carry out the four steps; return the verdict's document and the refitted vehicle with what was named."""
+    seed = settings["seed"]
+    on_progress("locate", 0.1)
+    located = _once(folder / LOCATE, lambda: locate(investigation, seed))
+    decision = name_effects(investigation, seed, lambda what, share: on_progress(f"name: {what}", 0.15 + 0.75 * share))
+    verdict = judge(investigation, decision, investigation.score(investigation.base))
+    on_progress("add", 0.9)
+    decision.found = investigation.everywhere(decision.found)
+    named = _named(decision, verdict, intervals(investigation, decision))
+    write_json(folder / NAME, named)
+    on_progress("prove", 0.95)
+    proof = _once(folder / PROOF, lambda: prove(investigation, decision.found, seed))
+    facts = {
+        "verdict": verdict.kind,
+        "reason": verdict.reason,
+        "effects": named["effects"] if verdict.kind != "unknown" else [],
+        "helped": named["effects"] if verdict.kind == "unknown" else [],
+        "ambiguous_with": list(verdict.rivals),
+        "next_manoeuvre": next_manoeuvre(verdict),
+        "ranking": named["ranking"],
+        "where": located["where"],
+        "gap": proof["gap"],
+        "worse": proof["worse"],
+        "blind_to": list(verdict.blind),
+    }
+    return facts, decision.found if verdict.effects else investigation.base
+
+
+def _once(path: Path, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """Return a step's findings, those of an interrupted run where they are there."""
+    if path.is_file():
+        return read_json(path)
+    found = make()
+    write_json(path, found)
+    return found
+
+
+def _named(
+    decision: Decision, verdict: Verdict, found: Mapping[str, Mapping[str, tuple[float, float, float]]]
+) -> dict[str, Any]:
+    units = {name: unit.unit for name, unit in specifications(decision.found.vehicle).items()}
+    first = max(decision.excess[0], 1e-12)
+    shares = {
+        row[0].name: row[0].explained * max(before, 0.0) / first
+        for row, before in zip(decision.rounds, decision.excess, strict=False)
+        if row
+    }
+    return {
+        "effects": [
+            {
+                "name": name,
+                "parameters": {
+                    key: {"value": value, "unit": units[f"effects.{name}.{key}"], "ci95": [low, high]}
+                    for key, (value, low, high) in found[name].items()
+                },
+                "explained": float(np.clip(shares.get(name, 0.0), 0.0, 1.0)),
+            }
+            for name in decision.chosen
+        ],
+        "ranking": [
+            {"name": row.name, "heldout_gain": row.gain, "p": row.p, "explained": row.explained, "behind": row.behind}
+            for row in (decision.rounds[0] if decision.rounds else [])
+        ],
+        "rounds": [[row.name for row in rows] for rows in decision.rounds],
+        "excess": decision.excess,
+        "blind": list(verdict.blind),
+    }
+
+
+def next_manoeuvre(verdict: Verdict) -> str:
+    """Return what to drive so that the next log decides; empty where nothing is open."""
+    if verdict.kind == "ambiguous":
+        return "; ".join(_excitations((*verdict.effects, *verdict.rivals)))
+    if verdict.kind == "under_excited":
+        return PROGRAMME
+    return ""
+
+
+def _excitations(names: Sequence[str]) -> list[str]:
+    """Return what excites some effects, each thing once."""
+    return list(dict.fromkeys(catalogue.entry(name).aspects["Excited by"].rstrip(".") for name in names))
+
+
+def _silent(logs: Sequence[Log]) -> dict[str, Any]:
+    """Return the verdict on logs that hold no stretch of driving to look at."""
+    seconds = sum(log.seconds for log in logs)
+    return {
+        "verdict": "under_excited",
+        "reason": f"{seconds:.0f} s of log hold too little driving to compare; {SHORTEST:.0f} s at least are needed",
+        "effects": [],
+        "helped": [],
+        "ambiguous_with": [],
+        "next_manoeuvre": PROGRAMME,
+        "ranking": [],
+        "where": [],
+        "gap": None,
+        "worse": [],
+        "blind_to": list(catalogue.names()),
+    }
+
+
+def _untestable(evidence: Mapping[str, Evidence]) -> dict[str, str]:
+    """Return the stages that the logs' channels, or their shortness, leave untested."""
+    return {
+        stage.name: f"needs {', '.join((*stage.inputs, stage.outputs[0]))} over {FEWEST} windows or more"
+        for stage in STAGES
+        if stage.name not in evidence
+    }
+
+
+def _write_vehicle(
+    path: Path, settings: Mapping[str, Any], facts: Mapping[str, Any], investigation: Investigation, found: Found
+) -> None:
+    """Write the refitted vehicle with the effects that were named."""
+    deviations, units = investigation.deviations(found), specifications(found.vehicle)
+    parameters = {
+        name: {
+            "ci95": [found.theta[name] - 1.96 * deviation, found.theta[name] + 1.96 * deviation],
+            "identified": 1.96 * deviation < KNOWN * abs(found.theta[name]),
+            "unit": units[name].unit,
+        }
+        for name, deviation in deviations.items()
+    }
+    added = {
+        name: {key.rpartition(".")[2]: found.theta[key] for key in found.theta if key.startswith(f"effects.{name}.")}
+        for name in found.effects
+    }
+    given = settings["vehicle"]
+    vehicle = {**given, "effects": {**(given.get("effects") or {}), **added}}
+    changes = {name: found.theta[name] for name in parameters}
+    write_model(path, vehicle, changes, {"logs": facts["logs"], "parameters": parameters}, "gap")

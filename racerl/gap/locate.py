@@ -1,0 +1,222 @@
+"""Where simulation and measurement part: errors by horizon, and maps of how fast they grow over what the car was doing.
+
+Windows are cut into segments. An error's growth over a segment, d = ē_end − ē_begin with ē a mean of three samples, is
+local, while the error itself carries along what happened before. Under noise alone d² is 2σ²/3. Whether d² depends on a
+condition is tested by rolling the conditions against it, so that what is alike within a stretch stays together; the
+false-discovery rate over all maps is held at 5 %.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import false_discovery_control
+
+from racerl.gap.evidence import COMMANDS, Evidence
+from racerl.gap.investigation import Investigation
+
+Array = NDArray[np.float64]
+HORIZONS = (1, 5, 20, 50, 85)
+SEGMENT = 17  # samples
+BINS = 6  # of equal counts
+ROLLS = 400
+RATE = 0.05  # of false discoveries
+REACH = 0.3  # s, of the cross-correlation
+CLUES = 8  # of maps, in the verdict
+
+
+@dataclass(frozen=True)
+class Condition:
+    """Something the car was doing, at every row of the log."""
+
+    title: str
+    unit: str
+    values: Array
+
+
+def conditions(evidence: Evidence, l_f: float, l_r: float) -> dict[str, Condition]:
+    """Return what the channels of a log say of its conditions (R,)."""
+    have = evidence.columns
+    found: dict[str, Condition] = {"time": Condition("time", "s", have["t"] - have["t"][0])}
+
+    def add(name: str, title: str, unit: str, values: Array) -> None:
+        found[name] = Condition(title, unit, values)
+
+    if "v_x" in have:
+        v_x = np.maximum(have["v_x"], 0.3)
+        add("speed", "speed", "m/s", have["v_x"])
+        add("a_x", "longitudinal acceleration", "m/s²", _slope(evidence, "v_x"))
+        add("distance", "distance driven", "m", np.cumsum(np.abs(have["v_x"])) * evidence.dt)
+        if "yaw_rate" in have:
+            add("a_y", "lateral acceleration", "m/s²", have["v_x"] * have["yaw_rate"])
+        if {"yaw_rate", "v_y"} <= set(have):
+            add("alpha_r", "rear slip angle", "rad", -np.arctan((have["v_y"] - l_r * have["yaw_rate"]) / v_x))
+            if "delta" in have:
+                front = np.arctan((have["v_y"] + l_f * have["yaw_rate"]) / v_x)
+                add("alpha_f", "front slip angle", "rad", have["delta"] - front)
+        if "omega" in have:
+            add("kappa", "slip ratio", "", (have["omega"] - have["v_x"]) / v_x)
+    steering = next((name for name in ("delta", "delta_ref") if name in have), None)
+    if steering:
+        add("steering", "steering angle", "rad", have[steering])
+        add("steering_rate", "steering rate", "rad/s", np.abs(_slope(evidence, steering)))
+    if {"x", "y", "yaw"} <= set(have):
+        add("x", "place, x", "m", have["x"])
+        add("y", "place, y", "m", have["y"])
+        add("heading", "heading", "rad", np.angle(np.exp(1j * have["yaw"])))
+    return found
+
+
+def _slope(evidence: Evidence, name: str) -> Array:
+    slope = np.gradient(evidence.columns[name], evidence.dt)
+    return np.convolve(slope, np.full(5, 0.2), mode="same")
+
+
+def horizons(errors: Array) -> dict[str, list[float]]:
+    """Return the RMS error (C,) so many samples into the windows, from errors (T + 1, C, W)."""
+    return {str(h): np.sqrt((errors[h] ** 2).mean(axis=1)).tolist() for h in HORIZONS if h < len(errors)}
+
+
+def growth(errors: Array) -> Array:
+    """Return d (W·K, C) of every segment, in the windows' order."""
+    length = len(errors)
+    ends = np.arange(0, length - SEGMENT, SEGMENT)
+    mean = (errors[:-2] + errors[1:-1] + errors[2:]) / 3.0
+    d = mean[np.minimum(ends + SEGMENT, len(mean) - 1)] - mean[ends]  # (K, C, W)
+    return d.transpose(2, 0, 1).reshape(-1, errors.shape[1])
+
+
+def _segments(evidence: Evidence, values: Array) -> Array:
+    """Return a condition's mean over every segment (W·K,)."""
+    ends = np.arange(0, evidence.length + 1 - SEGMENT, SEGMENT)
+    rows = evidence.start[:, None, None] + ends[None, :, None] + np.arange(SEGMENT)
+    return values[rows].mean(axis=2).ravel()
+
+
+def maps(investigation: Investigation, errors: Mapping[str, Array], seed: int) -> list[dict[str, Any]]:
+    """Return a map of every stage's channels over every condition; `p` is adjusted for the number of maps."""
+    generator = np.random.default_rng(seed)
+    found = []
+    car = investigation.base.vehicle
+    for name, part in errors.items():
+        evidence = investigation.evidence[name]
+        power = growth(part) ** 2 / (2.0 / 3.0 * investigation.noise[name] ** 2)  # 1 under noise alone
+        for key, condition in conditions(evidence, float(car.l_f), float(car.l_r)).items():
+            values = _segments(evidence, condition.values)
+            edges = np.quantile(values, np.linspace(0.0, 1.0, BINS + 1))
+            if len(np.unique(edges)) < BINS + 1:
+                continue
+            bins = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, BINS - 1)
+            shifts = generator.integers(len(bins), size=ROLLS)
+            for c, channel in enumerate(evidence.observed):
+                level, p = _test(np.minimum(power[:, c], np.quantile(power[:, c], 0.995)), bins, shifts)
+                found.append(
+                    {
+                        "stage": name,
+                        "channel": channel,
+                        "condition": key,
+                        "title": condition.title,
+                        "unit": condition.unit,
+                        "edges": edges.tolist(),
+                        "power": level.tolist(),
+                        "p": p,
+                    }
+                )
+    adjusted = false_discovery_control([row["p"] for row in found]) if found else []
+    for row, p in zip(found, adjusted, strict=True):
+        row["p"] = float(p)
+    return found
+
+
+def _test(power: Array, bins: NDArray[np.int64], shifts: NDArray[np.int64]) -> tuple[Array, float]:
+    """Return the mean power per bin, and the share of rolls that part the bins as much."""
+    count = np.maximum(np.bincount(bins, minlength=BINS), 1)
+
+    def spread(power: Array) -> tuple[Array, float]:
+        level = np.bincount(bins, power, minlength=BINS) / count
+        return level, float((count * (level - power.mean()) ** 2).sum())
+
+    level, ours = spread(power)
+    others = sum(spread(np.roll(power, int(shift)))[1] >= ours for shift in shifts)
+    return level, (1.0 + others) / (1.0 + len(shifts))
+
+
+def clues(found: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the clearest maps as (stage, channel, condition, share, p): the bin that has most of the excess."""
+    rows = []
+    for row in found:
+        excess = np.maximum(np.array(row["power"]) - 1.0, 0.0)
+        if row["p"] > RATE or excess.max() < 1.0:
+            continue
+        best = int(np.argmax(excess))
+        low, high = row["edges"][best], row["edges"][best + 1]
+        text = f"{row['title']} {_number(low)} … {_number(high)} {row['unit']}".rstrip()
+        share = float(excess[best] / excess.sum())
+        rows.append(
+            {key: row[key] for key in ("stage", "channel")} | {"condition": text, "share": share, "p": row["p"]}
+        )
+    rows.sort(key=lambda row: (-row["share"], row["p"]))
+    return rows[:CLUES]
+
+
+def _number(value: float) -> str:
+    return f"{value:.2g}" if abs(value) < 10 else f"{value:.0f}"
+
+
+def lags(investigation: Investigation, errors: Mapping[str, Array]) -> list[dict[str, Any]]:
+    """Return the correlation of each channel's error with the slope of each input over ± 300 ms, and its peak."""
+    found = []
+    for name, part in errors.items():
+        evidence = investigation.evidence[name]
+        reach = round(REACH / evidence.dt)
+        rows = evidence.start[:, None] + np.arange(evidence.length + 1)
+        for source in evidence.stage.inputs:
+            slope = _slope(evidence, source)
+            if not slope.any():
+                continue
+            offsets = np.arange(-reach, reach + 1, max(1, reach // 15))
+            for c, channel in enumerate(evidence.observed):
+                error = part[:, c, :].T  # (W, T + 1)
+                table = [_correlation(error, slope[np.clip(rows + k, 0, len(slope) - 1)]) for k in offsets]
+                peak = int(np.argmax(np.abs(table)))
+                found.append(
+                    {
+                        "stage": name,
+                        "channel": channel,
+                        "input": source,
+                        "command": source in COMMANDS,
+                        "lags_s": (offsets * evidence.dt).tolist(),
+                        "correlation": table,
+                        "peak_s": float(offsets[peak] * evidence.dt),
+                        "peak": table[peak],
+                    }
+                )
+    return found
+
+
+def _correlation(one: Array, other: Array) -> float:
+    a, b = one - one.mean(), other - other.mean()
+    return float((a * b).sum() / np.sqrt(max((a * a).sum() * (b * b).sum(), 1e-300)))
+
+
+def locate(investigation: Investigation, seed: int) -> dict[str, Any]:
+    """Return errors, maps and correlations of the refitted vehicle without further effects."""
+    errors = investigation.errors(investigation.base)
+    everything = maps(investigation, errors, seed)
+    return {
+        "stages": {
+            name: {
+                "channels": list(investigation.evidence[name].observed),
+                "windows": len(investigation.evidence[name].start),
+                "noise": investigation.noise[name].tolist(),
+                "errors": horizons(part),
+                "floor": horizons(investigation.noise_errors[name]),
+            }
+            for name, part in errors.items()
+        },
+        "maps": everything,
+        "where": clues(everything),
+        "lags": lags(investigation, errors),
+    }

@@ -1,0 +1,117 @@
+"""The proof: how far the gap shrinks on windows that no fit has seen, per channel and horizon."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from racerl.gap.investigation import Found, Investigation
+from racerl.gap.locate import HORIZONS, maps
+
+Array = NDArray[np.float64]
+RESAMPLES = 2000
+WORSE = 1.05  # times the error before, beyond which a channel has become worse
+
+
+def prove(investigation: Investigation, found: Found, seed: int) -> dict[str, Any]:
+    """Return the gap before and after; `before` is the refitted vehicle without the effects found."""
+    base = investigation.held_out_errors(investigation.base)
+    after = {**base, **investigation.held_out_errors(found)}
+    unfitted = investigation.errors(investigation.unfitted())
+    powers = [_power(investigation, errors) for errors in (unfitted, base, after, investigation.noise_errors)]
+    gap = _gap(*(np.concatenate(list(part.values())) for part in powers))
+    gap["ci95"] = _interval(investigation, *powers[1:], seed=seed)
+    gap["by_channel"] = _by_channel(investigation, base, after)
+    return {
+        "gap": gap,
+        "by_horizon": _by_horizon(investigation, base, after, seed),
+        "worse": [name for name, row in gap["by_channel"].items() if row["after"] > WORSE * row["before"]],
+        "maps": {"before": maps(investigation, base, seed), "after": maps(investigation, after, seed)},
+    }
+
+
+def _power(investigation: Investigation, errors: Mapping[str, Array]) -> dict[str, Array]:
+    """Return the summed squared errors over the noise, per window and stage."""
+    return {name: ((part / investigation.noise[name][:, None]) ** 2).sum(axis=(0, 1)) for name, part in errors.items()}
+
+
+def _gap(unfitted: Array, before: Array, after: Array, floor: Array) -> dict[str, Any]:
+    """Return root-mean-square errors in units of what noise alone leaves."""
+    unit = floor.sum()
+    return {
+        "unfitted": float(np.sqrt(unfitted.sum() / unit)),
+        "before": float(np.sqrt(before.sum() / unit)),
+        "after": float(np.sqrt(after.sum() / unit)),
+        "noise_floor": 1.0,
+        "explained": explained(before.sum(), after.sum(), unit),
+    }
+
+
+def explained(before: float, after: float, floor: float) -> float:
+    """Return (before² − after²)/(before² − floor²) from squares, inside [0, 1]."""
+    return float(np.clip((before - after) / max(before - floor, 1e-12), 0.0, 1.0)) if before > floor else 0.0
+
+
+def _interval(
+    investigation: Investigation,
+    before: Mapping[str, Array],
+    after: Mapping[str, Array],
+    floor: Mapping[str, Array],
+    *,
+    seed: int,
+) -> list[float]:
+    """Return the 95 % interval of what is explained, over blocks of windows."""
+    generator = np.random.default_rng(seed)
+    sums = [
+        np.concatenate([np.bincount(investigation.blocks(name), part[name]) for name in before])
+        for part in (before, after, floor)
+    ]
+    drawn = generator.integers(len(sums[0]), size=(RESAMPLES, len(sums[0])))
+    b, a, f = (part[drawn].sum(axis=1) for part in sums)
+    shares = np.clip((b - a) / np.maximum(b - f, 1e-12), 0.0, 1.0)
+    return [float(value) for value in np.quantile(shares, [0.025, 0.975])]
+
+
+def _by_channel(
+    investigation: Investigation, before: Mapping[str, Array], after: Mapping[str, Array]
+) -> dict[str, dict[str, float]]:
+    return {
+        channel: {
+            "before": _rms(before[name][:, c]),
+            "after": _rms(after[name][:, c]),
+            "floor": _rms(investigation.noise_errors[name][:, c]),
+        }
+        for name, evidence in investigation.evidence.items()
+        for c, channel in enumerate(evidence.observed)
+    }
+
+
+def _by_horizon(
+    investigation: Investigation, before: Mapping[str, Array], after: Mapping[str, Array], seed: int
+) -> list[dict[str, Any]]:
+    """Return errors by channel and horizon, with the 95 % interval of their ratio after/before."""
+    generator = np.random.default_rng(seed)
+    rows = []
+    for name, evidence in investigation.evidence.items():
+        block = investigation.blocks(name)
+        drawn = generator.integers(block.max() + 1, size=(RESAMPLES, block.max() + 1))
+        for c, channel in enumerate(evidence.observed):
+            for h in (h for h in HORIZONS if h < len(before[name])):
+                old, new = (np.bincount(block, part[name][h, c] ** 2) for part in (before, after))
+                ratio = np.sqrt(new[drawn].sum(axis=1) / np.maximum(old[drawn].sum(axis=1), 1e-300))
+                rows.append(
+                    {
+                        "stage": name,
+                        "channel": channel,
+                        "horizon": h,
+                        "before": _rms(before[name][h, c]),
+                        "after": _rms(after[name][h, c]),
+                        "ratio_ci95": [float(value) for value in np.quantile(ratio, [0.025, 0.975])],
+                    }
+                )
+    return rows
+
+
+def _rms(errors: Array) -> float:
+    return float(np.sqrt((errors**2).mean()))

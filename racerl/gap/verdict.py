@@ -1,0 +1,96 @@
+"""The verdict: what held-out windows allow to be said of a log.
+
+none            nothing is left beyond the sensors' noise, and the log would have shown the usual effects
+under_excited   nothing is left, but the log would not have shown most of them
+named           one effect is needed, and no other explains the data as well
+multiple        several effects, each needed beside the others
+ambiguous       another effect explains the data as well
+unknown         what is left is real, and no known effect explains it
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from racerl.gap.investigation import Investigation
+from racerl.gap.name import Decision, Scored
+from racerl.gap.score import Score
+
+REAL = 0.05  # excess cost over the noise's that is real: the noise itself is known to a few percent
+LEFT = 0.25  # share of the first excess that may stay behind when the name is right
+ALIKE = 3.0  # standard errors that a rival may be behind
+EQUAL = 0.05  # share of the excess that a rival may explain less
+SHOWS = 30.0  # first-order gain, a χ², at its usual size that makes an effect show
+MOST = 0.5  # share of the catalogue that a log must be able to show
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What is said: the kind, the effects, and those that cannot be told from the first."""
+
+    kind: str
+    effects: tuple[str, ...]
+    rivals: tuple[str, ...]
+    blind: tuple[str, ...]  # effects that the log would not show at their usual size
+    reason: str
+
+
+def judge(investigation: Investigation, decision: Decision, score: Score) -> Verdict:
+    """Return the verdict; `score` is that of the nominal fit."""
+    noise = sum(investigation.floor.values())
+    first, left = decision.excess[0], decision.excess[-1]
+    blind = hidden(score)
+    rivals = tuple(name for row in _rounds(decision) for name in equals(row))
+    effects = tuple(decision.chosen)
+    if not effects:
+        if first > REAL * noise:
+            reason = f"an excess of {first / noise:.0%} over the noise's cost, which no effect explains"
+            return Verdict("unknown", (), (), blind, reason)
+        if len(blind) > MOST * len(score.names):
+            reason = f"{len(blind)} of {len(score.names)} effects would not show at their usual size"
+            return Verdict("under_excited", (), (), blind, reason)
+        return Verdict("none", (), (), blind, "the refitted vehicle reaches the noise")
+    if left > REAL * noise and left > LEFT * first:
+        reason = f"{' and '.join(effects)} helps, but leaves {left / first:.0%} of the excess"
+        return Verdict("unknown", (), (), blind, reason)
+    explained = f"{' and '.join(effects)} explains {1.0 - max(left, 0.0) / first:.0%} of the excess"
+    if rivals:
+        return Verdict("ambiguous", effects, rivals, blind, f"{explained}, and so does {' or '.join(rivals)}")
+    return Verdict("named" if len(effects) == 1 else "multiple", effects, (), blind, explained)
+
+
+def _rounds(decision: Decision) -> list[list[Scored]]:
+    """Return the rounds whose best effect was kept."""
+    return [row for row in decision.rounds if row and row[0].name in decision.chosen]
+
+
+def equals(row: list[Scored]) -> list[str]:
+    """Return the candidates of a round that explain the data as well as its best, with no more parameters."""
+    best = row[0]
+    return [
+        other.name
+        for other in row[1:]
+        if other.clear and other.behind < ALIKE and other.explained > best.explained - EQUAL and other.size <= best.size
+    ]
+
+
+def hidden(score: Score) -> tuple[str, ...]:
+    """Return the effects that would not show at their usual size."""
+    shown = np.diag(score.H)
+    return tuple(name for name, gain in zip(score.names, shown, strict=True) if gain < SHOWS)
+
+
+def intervals(investigation: Investigation, decision: Decision) -> dict[str, dict[str, tuple[float, float, float]]]:
+    """Return each chosen effect's parameters: value and 95 % interval, inside the physical bounds."""
+    found = decision.found
+    deviations: Mapping[str, float] = investigation.deviations(found)
+    bounds = {unknown.name: (unknown.low, unknown.high) for unknown in found.problem.unknowns}
+    result: dict[str, dict[str, tuple[float, float, float]]] = {name: {} for name in decision.chosen}
+    for name, deviation in deviations.items():
+        parts = name.split(".")
+        if parts[0] == "effects" and parts[1] in result:
+            value, (low, high) = found.theta[name], bounds[name]
+            half = 1.96 * deviation
+            result[parts[1]][".".join(parts[2:])] = (value, max(value - half, low), min(value + half, high))
+    return result
