@@ -182,8 +182,14 @@ def gap(
 
     Locates the gap, names the missing effect, adds it and proves it on held-out windows. Groups: data vehicle. Writes
     verdict.json, model.yaml, which every command takes as vehicle=, and report.html.
+
+    racerl gap plan drive.csv.gz only says which effects the log could tell apart, and what to drive next.
     """
-    _run("gap", [*(arguments or []), *([f"out={out}"] if out else [])], _gap, positional="logs")
+    words = [*(arguments or []), *([f"out={out}"] if out else [])]
+    task = _gap
+    if words[:1] == ["plan"]:
+        words, task = words[1:], _plan
+    _run("gap", words, task, positional="logs")
 
 
 @app.command(context_settings=HYDRA)
@@ -304,6 +310,24 @@ def _gap(settings: "Settings", out: Path) -> None:
     page = draw_gap(out)
     _print_verdict(console, facts)
     for line in (f"vehicle in {out / MODEL}; drive it with: racerl train vehicle={out / MODEL}", f"report in {page}"):
+        console.print(line, highlight=False, soft_wrap=True, markup=False)
+
+
+def _plan(settings: "Settings", out: Path) -> None:
+    from racerl.console import Bar
+    from racerl.documents import write_text
+    from racerl.gap.plan import PLAN, plan
+    from racerl.report.figures import separability
+
+    console = _console()
+    with Bar(console, "plan") as bar:
+        facts = plan(settings, out, lambda what, share: bar.show(share, what))
+    write_text(out / "separability.svg", separability.draw(facts))
+    dark = [name for name, effect in facts["effects"].items() if not effect["shows"]]
+    lines = [f"{len(dark)} of {len(facts['effects'])} effects would not show at their usual size: {', '.join(dark)}"]
+    lines += [f"alike: {' and '.join(row['effects'])} (cosine {row['cosine']:+.3f})" for row in facts["alike"][:PAIRS]]
+    lines += [f"drive next: {row['drive']} (for {', '.join(row['for'])})" for row in facts["next"]]
+    for line in [*lines, f"numbers in {out / PLAN}, picture in {out / 'separability.svg'}"]:
         console.print(line, highlight=False, soft_wrap=True, markup=False)
 
 

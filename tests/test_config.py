@@ -34,6 +34,7 @@ def test_no_file_is_left_out():
         "bench.yaml",
         "data.yaml",
         "identify.yaml",
+        "gap.yaml",
         "optimum.yaml",
         # composed below, each with its command
         *(

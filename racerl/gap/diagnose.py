@@ -1,7 +1,8 @@
 """`racerl gap`: locate, name, add, prove. Each step leaves its own JSON; an interrupted run goes on behind it."""
 
+import re
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -199,15 +200,19 @@ def _named(
 def next_manoeuvre(verdict: Verdict) -> str:
     """Return what to drive so that the next log decides; empty where nothing is open."""
     if verdict.kind == "ambiguous":
-        return "; ".join(_excitations((*verdict.effects, *verdict.rivals)))
+        return "; ".join(excitations((*verdict.effects, *verdict.rivals)))
     if verdict.kind == "under_excited":
         return PROGRAMME
     return ""
 
 
-def _excitations(names: Sequence[str]) -> list[str]:
-    """Return what excites some effects, each thing once."""
-    return list(dict.fromkeys(catalogue.entry(name).aspects["Excited by"].rstrip(".") for name in names))
+def excitations(names: Iterable[str]) -> dict[str, list[str]]:
+    """Return what to drive for some effects, with the effects that each manoeuvre is for."""
+    found: dict[str, list[str]] = {}
+    for name in dict.fromkeys(names):
+        for what in re.split(r"[,;] ", catalogue.entry(name).aspects["Excited by"].rstrip(".")):
+            found.setdefault(what, []).append(name)
+    return found
 
 
 def _silent(logs: Sequence[Log]) -> dict[str, Any]:

@@ -20,7 +20,8 @@ from racerl.gap.investigation import Investigation
 Array = NDArray[np.float64]
 HORIZONS = (1, 5, 20, 50, 85)
 SEGMENT = 17  # samples
-BINS = 6  # of equal counts
+BINS = 6  # of equal counts; the outer ones hold the tails, too
+TAIL = 0.01
 ROLLS = 400
 RATE = 0.05  # of false discoveries
 REACH = 0.3  # s, of the cross-correlation
@@ -105,7 +106,7 @@ def maps(investigation: Investigation, errors: Mapping[str, Array], seed: int) -
         power = growth(part) ** 2 / (2.0 / 3.0 * investigation.noise[name] ** 2)  # 1 under noise alone
         for key, condition in conditions(evidence, float(car.l_f), float(car.l_r)).items():
             values = _segments(evidence, condition.values)
-            edges = np.quantile(values, np.linspace(0.0, 1.0, BINS + 1))
+            edges = np.quantile(values, [TAIL, *np.linspace(0.0, 1.0, BINS + 1)[1:-1], 1.0 - TAIL])
             if len(np.unique(edges)) < BINS + 1:
                 continue
             bins = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, BINS - 1)

@@ -19,8 +19,9 @@ CLOSE = 0.5  # of the most gain, above which a candidate's fit is carried on to 
 HOPELESS = 30.0  # first-order gain, a χ², below which no effect is worth a fit
 ROUNDS = 3
 RESAMPLES = 2000
-CLEAR = 4.0  # standard errors by which a gain must differ from zero
+CLEAR = 3.0  # standard errors by which a gain must differ from zero
 SAME = 2.0  # standard errors within which candidates explain alike
+PARAMETER = 0.01  # share of the excess that one more parameter must explain
 WILD = 30.0  # mean squared deviation of a window beyond which its size says nothing more
 WORTH = 0.04  # share of the first excess, and of what is left of it before the round, that an effect must explain
 
@@ -113,9 +114,8 @@ def _round(judge: "Judge", decision: Decision, on_progress: Callable[[str, float
     ]
     scored.sort(key=lambda row: -row.gain)
     if scored:
-        # of those that explain alike, the one with the fewest parameters comes first
         alike = [row for row in scored if judge.behind(scored[0], row, decision.cost) < SAME]
-        first = min(alike, key=lambda row: row.size)
+        first = max(alike, key=lambda row: row.explained - PARAMETER * row.size)
         scored = [first, *(row for row in scored if row is not first)]
     return [replace(row, behind=judge.behind(scored[0], row, decision.cost)) for row in scored]
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from racerl.gap.investigation import Investigation
-from racerl.gap.name import Decision, Scored
+from racerl.gap.name import PARAMETER, Decision, Scored
 from racerl.gap.score import Score
 
 REAL = 0.05  # excess cost over the noise's that is real: the noise itself is known to a few percent
@@ -66,12 +66,15 @@ def _rounds(decision: Decision) -> list[list[Scored]]:
 
 
 def equals(row: list[Scored]) -> list[str]:
-    """Return the candidates of a round that explain the data as well as its best, with no more parameters."""
+    """Return the candidates of a round that explain the data as well as its best, for their number of parameters."""
     best = row[0]
     return [
         other.name
         for other in row[1:]
-        if other.clear and other.behind < ALIKE and other.explained > best.explained - EQUAL and other.size <= best.size
+        if other.clear
+        and other.behind < ALIKE
+        and other.explained - PARAMETER * other.size
+        > best.explained - PARAMETER * best.size - EQUAL * (other.size <= best.size)
     ]
 
 

@@ -117,8 +117,8 @@ ROLLING = {"v_x": 3.0, "omega": 3.0}
         ("steering_rate_limit", {"limit": 1.0}, {**ROLLING, "delta": 0.0}, (0.5, 3.0), "delta", 1.0 - 0.5 / 0.044),
         ("current_limit", {"limit": 2.0}, {"v_x": 1.0, "omega": 1.0}, (0.0, 5.0), "omega", None),
         ("drive_brake_asymmetry", {"ratio": 2.0}, ROLLING, (0.0, 2.0), "omega", None),
-        ("regen_braking", {"rate": 2.0}, ROLLING, (0.0, 1.0), "omega", -6.0),
-        ("regen_braking", {"rate": 2.0}, ROLLING, (0.0, 5.0), "omega", 0.0),
+        ("regen_braking", {"rate": 2.0, "reach": 0.2}, ROLLING, (0.0, 1.0), "omega", -6.0),
+        ("regen_braking", {"rate": 2.0, "reach": 0.2}, ROLLING, (0.0, 5.0), "omega", 0.0),
         ("rolling_resistance", {"force": 1.0}, ROLLING, (0.0, 3.0), "v_x", -1.0 / 5.1),
         ("viscous_drag", {"coefficient": 0.5}, ROLLING, (0.0, 3.0), "v_x", -1.5 / 5.1),
         ("aero_drag", {"coefficient": 0.05}, ROLLING, (0.0, 3.0), "v_x", -0.45 / 5.1),
@@ -188,8 +188,8 @@ def test_grip_is_lost_where_when_and_how_it_should():
         1 - 0.4 * 0.6065, 1e-3
     )
     assert grip("tyre_heating", {"loss": 0.1}, tyre_heating__heat=2.0) == pytest.approx(0.8)
-    sensitive = {"lateral_load_sensitivity__acceleration": -5.0}
-    assert grip("lateral_load_sensitivity", {"loss": 0.02}, **sensitive) == pytest.approx(0.9, abs=5e-3)
+    turning = {"v_x": 2.5, "yaw_rate": -2.0}
+    assert grip("lateral_load_sensitivity", {"loss": 0.02}, **turning) == pytest.approx(0.9, abs=5e-3)
     assert grip("roll_dynamics", {"loss": 0.02}, roll_dynamics__roll=5.0) == pytest.approx(0.9, abs=5e-3)
 
 
@@ -277,8 +277,8 @@ def test_sag_droop_and_split():
     pushing = {"v_x": 2.0, "omega": 2.3}
     assert change("drive_load_droop", (0.0, 3.0), {"droop": 0.2}, **pushing)["omega"] < -1.0
     turning = {**pushing, "delta": 0.2, "v_y": 0.1, "yaw_rate": 1.0}
-    nose, tail = (change("drive_split", (0.0, 3.0), {"front": q}, **turning) for q in (0.8, 0.2))
-    assert nose["yaw_rate"] * tail["yaw_rate"] < 0.0
+    pulled, pushed = (change("drive_split", (0.0, 3.0), {"front": q}, **turning) for q in (1.0, 0.0))
+    assert pulled["yaw_rate"] > 0.0 and pulled["yaw_rate"] > pushed["yaw_rate"] + 1.0
     lateral = change("cog_lateral_offset", (0.0, 3.0), {"offset": 0.01}, **pushing)
     assert lateral["yaw_rate"] < 0.0
 
@@ -313,7 +313,7 @@ SCALED = {  # effects that vanish with a parameter
     "steering_backlash": {"play": 0.0},
     "steering_compliance": {"compliance": 0.0},
     "tyre_heating": {"loss": 0.0},
-    "drive_split": {"front": 0.5},
+    "locked_differential": {"track_width": 0.0},
     "friction_patch": {"depth": 0.0},
     "steering_nonlinearity": {"cubic": 0.0},
     "drive_brake_asymmetry": {"ratio": 1.0},

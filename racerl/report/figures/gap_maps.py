@@ -35,7 +35,7 @@ def draw(
             axis.set_visible(False)
         for axis in axes[::COLUMNS]:
             axis.set_ylabel("growth² / noise²")
-        axes[0].legend(loc="lower left", bbox_to_anchor=(0.0, 1.12), ncols=3, fontsize=9)
+        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=3, fontsize=9)
         return to_svg(figure)
 
 

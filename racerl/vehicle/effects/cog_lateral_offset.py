@@ -1,6 +1,6 @@
 """The centre of gravity lies beside the middle of the axles.
 
-Formula: M_z ← M_z − e ΣF_x.
+Formula: M_z ← M_z − e F_x with F_x what the tyres do along the body; the axles' middles move at v_x − e r.
 Source: moment of the drive about the centre of gravity.
 In data: the car turns to one side under power and to the other when braking, at zero steering.
 Excited by: speed steps up and down on straights.
@@ -15,7 +15,7 @@ from racerl.vehicle.ops import Ops, Scalar
 from racerl.vehicle.parameter import parameter
 
 if TYPE_CHECKING:
-    from racerl.vehicle.vehicle import Forces, Motion, Wrench
+    from racerl.vehicle.vehicle import Forces, Motion, Slips, Wrench
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,6 +26,19 @@ class CogLateralOffset(Effect):
 
     symmetric: ClassVar[bool] = False
 
+    def slip(self, slips: "Slips", motion: "Motion", ops: Ops) -> "Slips":
+        """Let the axles' middles move at v_x − e r."""
+        car, slower = motion.car, self.offset * motion.yaw_rate
+        cos_delta, sin_delta = ops.cos(motion.delta), ops.sin(motion.delta)
+        V_xf = motion.v_x * cos_delta + (motion.v_y + car.arm * motion.yaw_rate) * sin_delta
+        front, rear = slower / car.slip_speed(V_xf, ops), slower / car.slip_speed(motion.v_x, ops)
+        return slips._replace(
+            kappa_f=slips.kappa_f + front * cos_delta,
+            alpha_f=slips.alpha_f - front * sin_delta,
+            kappa_r=slips.kappa_r + rear,
+        )
+
     def wrench(self, wrench: "Wrench", forces: "Forces", motion: "Motion", ops: Ops) -> "Wrench":
-        """Subtract e ΣF_x from the yaw moment."""
-        return wrench._replace(M_z=wrench.M_z - self.offset * (forces.F_xf + forces.F_xr))
+        """Subtract e F_x from the yaw moment."""
+        ahead = motion.car.tyre_wrench(forces, motion, ops).F_x
+        return wrench._replace(M_z=wrench.M_z - self.offset * ahead)

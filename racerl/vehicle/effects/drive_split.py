@@ -1,8 +1,8 @@
-"""The drive is not shared equally by the axles.
+"""A differential between the axles shares the drive's force, whatever their slips ask for.
 
-Formula: κ_f ← 2 q κ_f, κ_r ← 2 (1 − q) κ_r.
-Source: centre differential or a one-axle drive: the axle without torque rolls freely.
-In data: power on in a turn pushes the nose out (q > ½) or the tail.
+Formula: F_xf ← q F and F_xr ← (1 − q) F with F = F_xf + F_xr.
+Source: Milliken and Milliken 1995, chapter 20: centre differentials; q = ½ for an even one, 0 or 1 for one driven axle.
+In data: power on in a turn pulls the nose in (large q) or pushes it out.
 Excited by: power on in turns, braking in turns.
 Confused with: cog_lateral_offset, locked_differential.
 """
@@ -15,16 +15,21 @@ from racerl.vehicle.ops import Ops, Scalar
 from racerl.vehicle.parameter import parameter
 
 if TYPE_CHECKING:
-    from racerl.vehicle.vehicle import Motion, Slips
+    from racerl.vehicle.vehicle import Forces, Motion, Wrench
 
 
 @dataclass(frozen=True, kw_only=True)
 class DriveSplit(Effect):
-    """Share of the front axle in the slip of the drive."""
+    """Share of the front axle in the drive's force."""
 
     front: Scalar = parameter("", 0.0, 1.0, "q", 0.5)
 
-    def slip(self, slips: "Slips", motion: "Motion", ops: Ops) -> "Slips":
-        """Share out the slip ratio."""
-        share = 2.0 * self.front
-        return slips._replace(kappa_f=share * slips.kappa_f, kappa_r=(2.0 - share) * slips.kappa_r)
+    def wrench(self, wrench: "Wrench", forces: "Forces", motion: "Motion", ops: Ops) -> "Wrench":
+        """Move a part of the drive from axle to axle."""
+        moved = self.front * (forces.F_xf + forces.F_xr) - forces.F_xf
+        aside = moved * ops.sin(motion.delta)
+        return wrench._replace(
+            F_x=wrench.F_x + moved * (ops.cos(motion.delta) - 1.0),
+            F_y=wrench.F_y + aside,
+            M_z=wrench.M_z + motion.car.arm * aside,
+        )

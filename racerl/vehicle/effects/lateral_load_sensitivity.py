@@ -1,6 +1,6 @@
 """Load transfer to the outer wheels costs grip: tyres gain less from load than they lose.
 
-Formula: μ ← μ (1 − k |a_y|), a_y = F_y/m with a lag of 20 ms.
+Formula: μ ← μ (1 − k |a_y|), a_y = v_x r as in a steady turn.
 Source: Pacejka 2012, section 1.3.5; Milliken and Milliken 1995, chapter 2.
 In data: grip falls as lateral acceleration grows, at equal slip.
 Excited by: equal a_y at two radii, ramps to the limit.
@@ -8,18 +8,15 @@ Confused with: speed_dependent_friction (equal a_y at two radii tell), the shape
     (with a delay).
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 from racerl.vehicle.effects import Effect, Pair
 from racerl.vehicle.ops import Ops, Scalar, soft_abs
 from racerl.vehicle.parameter import parameter
 
 if TYPE_CHECKING:
-    from racerl.vehicle.vehicle import Course, Motion
-
-LAG = 0.02  # s
+    from racerl.vehicle.vehicle import Motion
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,15 +25,7 @@ class LateralLoadSensitivity(Effect):
 
     loss: Scalar = parameter("s²/m", 0.0, 0.1, "k")
 
-    states: ClassVar[tuple[str, ...]] = ("acceleration",)
-
     def grip(self, friction: Pair, motion: "Motion", ops: Ops) -> Pair:
         """Scale the grip by 1 − k |a_y|."""
-        left = 1.0 - self.loss * soft_abs(motion.own[self.key("acceleration")], 0.2, ops)
+        left = 1.0 - self.loss * soft_abs(motion.v_x * motion.yaw_rate, 0.2, ops)
         return friction[0] * left, friction[1] * left
-
-    def rates(self, course: "Course", ops: Ops) -> Sequence[Scalar]:
-        """Let a_y follow the tyres' side force."""
-        motion = course.motion
-        aside = motion.car.tyre_wrench(course.forces, motion, ops).F_y
-        return ((aside / motion.car.mass - motion.own[self.key("acceleration")]) / LAG,)

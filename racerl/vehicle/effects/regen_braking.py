@@ -29,5 +29,5 @@ class RegenBraking(Effect):
         """Return ω̇ − c ω while braking."""
         speed, reference, _ = course.drive
         demand = speed - reference
-        demand = 0.5 * (demand + ops.sqrt(demand * demand + SMOOTH_SPEED * SMOOTH_SPEED) - SMOOTH_SPEED)
-        return rate - self.rate * speed * ops.tanh(demand / self.reach)
+        braking = 0.5 * (1.0 + ops.tanh(demand / SMOOTH_SPEED))
+        return rate - self.rate * speed * ops.tanh(demand / self.reach) * braking

@@ -1,0 +1,72 @@
+"""What a log could tell: which effects it would show at their usual size, which look alike in it, what to drive next.
+
+The score test's matrix H over the effects' presences, nominal and initial-state sensitivities projected out, says both:
+its diagonal is the χ² by which an effect of its usual size would show, its cosines how alike two effects look.
+"""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from racerl.data.load import load_given
+from racerl.documents import write_json
+from racerl.errors import LogError
+from racerl.gap.diagnose import check, cut, excitations, investigate
+from racerl.gap.score import Score
+from racerl.gap.verdict import SHOWS
+from racerl.run import RunFolder
+from racerl.vehicle.load import load_vehicle
+
+PLAN = "plan.json"
+ALIKE = 0.95  # |cosine| above which two effects cannot be told apart by a linear test
+NEXT = 5  # manoeuvres that are proposed
+
+
+def plan(
+    settings: Mapping[str, Any], out: Path, on_progress: Callable[[str, float], None] = lambda what, share: None
+) -> dict[str, Any]:
+    """Write plan.json about the logs of `settings`; raise LogError where they hold no stretch of driving."""
+    check(settings)
+    vehicle = load_vehicle(settings["vehicle"])
+    logs = load_given(settings)
+    evidence = cut(logs, settings)
+    if not evidence:
+        raise LogError("the logs hold no stretch of driving long enough to compare; give longer ones")
+    folder = RunFolder.start(out, "gap plan", settings, seed=settings["seed"], threads=settings["threads"])
+    on_progress("refitting the vehicle", 0.1)
+    investigation = investigate(evidence, logs, vehicle, settings)
+    on_progress("what the log could tell", 0.8)
+    facts = telling(investigation.score(investigation.base))
+    write_json(folder.path / PLAN, facts)
+    folder.finish()
+    return facts
+
+
+def telling(score: Score) -> dict[str, Any]:
+    """Return what a score says of the data: χ² of every effect, pairs that look alike, what to drive next."""
+    shown = np.diag(score.H)
+    cosines = score.cosines()
+    seen = [i for i, power in enumerate(shown) if power >= SHOWS]
+    alike: list[dict[str, Any]] = [
+        {"effects": [score.names[i], score.names[j]], "cosine": float(cosines[i, j])}
+        for n, i in enumerate(seen)
+        for j in seen[n + 1 :]
+        if abs(cosines[i, j]) > ALIKE
+    ]
+    alike.sort(key=lambda row: -abs(row["cosine"]))
+    dark = [score.names[i] for i in range(len(shown)) if i not in seen]
+    wanted = [*dark, *(name for row in alike for name in row["effects"])]
+    return {
+        "effects": {
+            name: {"chi2": float(power), "shows": bool(power >= SHOWS)}
+            for name, power in zip(score.names, shown, strict=True)
+        },
+        "alike": alike,
+        "cosines": cosines.tolist(),
+        "next": [
+            {"drive": what, "for": names}
+            for what, names in sorted(excitations(wanted).items(), key=lambda row: -len(row[1]))[:NEXT]
+        ],
+    }
