@@ -2,7 +2,7 @@
 
 import re
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +11,16 @@ import yaml
 
 from racerl.data.inspect import inspect
 from racerl.data.load import load_given
-from racerl.data.log import Log
+from racerl.data.log import POSE, Log
 from racerl.documents import conf_folder, read_json, write_json, write_text
 from racerl.errors import ConfigError
 from racerl.gap.catalogue import starts
-from racerl.gap.evidence import Evidence
+from racerl.gap.evidence import Evidence, channels_of
 from racerl.gap.investigation import Found, Investigation
 from racerl.gap.locate import locate
 from racerl.gap.name import Decision, name_effects
 from racerl.gap.prove import prove
-from racerl.gap.stage import STAGES
+from racerl.gap.stage import stages
 from racerl.gap.verdict import Verdict, intervals, judge
 from racerl.identify.document import write_model
 from racerl.identify.unknowns import choose_unknowns
@@ -31,7 +31,6 @@ from racerl.vehicle.parameter import specifications
 from racerl.vehicle.vehicle import Vehicle
 
 LOCATE, NAME, PROOF, VERDICT, MODEL = "locate.json", "name.json", "prove.json", "verdict.json", "model.yaml"
-SHORTEST = 30.0  # s of driving, below which nothing can be told
 FEWEST = 20  # windows of a stage, below which it is left out
 KNOWN = 0.05  # half width of an interval, as a share of the value, within which a parameter counts as identified
 PROGRAMME = (
@@ -61,7 +60,7 @@ def gap(settings: Mapping[str, Any], out: Path, on_progress: OnProgress = lambda
         "remarks": [
             f"{log.name}: {line}" for log in logs for line in inspect(log, float(vehicle.wheelbase))["warnings"]
         ],
-        "untestable": _untestable(evidence),
+        "untestable": _untestable(evidence, channels_of(logs)),
     }
     if not evidence:
         facts = _silent(logs) | told
@@ -92,7 +91,8 @@ def check(settings: Mapping[str, Any]) -> None:
 
 def cut(logs: Sequence[Log], settings: Mapping[str, Any]) -> dict[str, Evidence]:
     """Return the windows of every stage that the logs have the channels and the length for."""
-    found = [Evidence.of(logs, stage, settings["window"], settings["slowest"]) for stage in STAGES]
+    chain = stages(channels_of(logs))
+    found = [Evidence.of(logs, stage, settings["window"], settings["slowest"]) for stage in chain]
     return {each.stage.name: each for each in found if each is not None and len(each.start) >= FEWEST}
 
 
@@ -102,9 +102,10 @@ def investigate(
     """Return the evidence with the vehicle refitted to it, and the effects that it may lack."""
     unknowns = choose_unknowns(vehicle, settings["priors"], _list(settings["hold"]), vehicle)
     without = {*_list(settings["without"]), *vehicle.effects}
-    extent = np.array([_extent(logs, axis) for axis in ("x", "y")])
+    if not channels_of(logs) & set(POSE):
+        without.add("pose_latency")  # the same as command_timestamp_offset, of channels that are not there
     folder = conf_folder() / "vehicle" / "effect"
-    candidates = {name: starts(name, folder, extent) for name in catalogue.names() if name not in without}
+    candidates = {name: starts(name, folder) for name in catalogue.names() if name not in without}
     return Investigation(
         evidence,
         vehicle,
@@ -114,11 +115,6 @@ def investigate(
         threads=settings["threads"],
         seed=settings["seed"],
     )
-
-
-def _extent(logs: Sequence[Log], axis: str) -> tuple[float, float]:
-    columns = [log.array(axis) for log in logs if axis in log.channels]
-    return (min(float(c.min()) for c in columns), max(float(c.max()) for c in columns)) if columns else (0.0, 0.0)
 
 
 def _list(value: Any) -> list[str]:
@@ -220,7 +216,7 @@ def _silent(logs: Sequence[Log]) -> dict[str, Any]:
     seconds = sum(log.seconds for log in logs)
     return {
         "verdict": "under_excited",
-        "reason": f"{seconds:.0f} s of log hold too little driving to compare; {SHORTEST:.0f} s at least are needed",
+        "reason": f"{seconds:.0f} s of log hold no {FEWEST} windows of driving with the channels that a stage needs",
         "effects": [],
         "helped": [],
         "ambiguous_with": [],
@@ -233,11 +229,11 @@ def _silent(logs: Sequence[Log]) -> dict[str, Any]:
     }
 
 
-def _untestable(evidence: Mapping[str, Evidence]) -> dict[str, str]:
+def _untestable(evidence: Mapping[str, Evidence], channels: Collection[str]) -> dict[str, str]:
     """Return the stages that the logs' channels, or their shortness, leave untested."""
     return {
         stage.name: f"needs {', '.join((*stage.inputs, stage.outputs[0]))} over {FEWEST} windows or more"
-        for stage in STAGES
+        for stage in stages(channels)
         if stage.name not in evidence
     }
 

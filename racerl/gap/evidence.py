@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.signal import savgol_coeffs, savgol_filter
 
 from racerl.data.differentiate import velocities
+from racerl.data.inspect import pose_lag
 from racerl.data.log import POSE, VELOCITY, Log
 from racerl.gap.stage import Stage
 from racerl.vehicle.rollout import Windows
@@ -20,8 +21,15 @@ MARGIN = 25  # samples of a run before its first window, so that late inputs are
 SMOOTH, SLOPE = 5, 7  # samples of the quadratic Savitzky–Golay filters of measured inputs and their slopes
 LOCAL, ORDER = 11, 4  # samples and order of the local polynomials that tell noise from motion
 COMMANDS = ("delta_ref", "omega_ref")
+INSTEAD = {"delta": "delta_ref", "omega": "omega_ref"}  # where an actuator that was not measured may be
 FILTERS = [(window, order) for order in (2, 3) for window in range(5, 42, 2)]  # that velocities may have been made by
+LATE = 0.015  # s, by which velocities may lag poses
 ALIKE = 0.3  # of a velocity's noise by which it may differ from such a derivative
+
+
+def channels_of(logs: Sequence[Log]) -> set[str]:
+    """Return the channels that all logs have."""
+    return set.intersection(*(set(log.channels) for log in logs))
 
 
 @dataclass(frozen=True)
@@ -48,7 +56,7 @@ class Evidence:
 
         Windows in which the car is slower than `slowest` m/s are left out of the chassis stage.
         """
-        channels = set.intersection(*(set(log.channels) for log in logs))
+        channels = channels_of(logs)
         needed = [stage.inputs[0]] if stage.name == "steering" else list(stage.inputs)
         if not channels >= set(needed) or not channels & set(stage.outputs):
             return None
@@ -69,8 +77,11 @@ class Evidence:
             start.append(places)
             run.append(np.full(len(places), number))
         observed = [name for name in stage.outputs if name in channels]
-        if {*POSE, *VELOCITY} <= set(observed) and derived(runs, logs[0].dt):
-            observed = list(POSE)
+        if {*POSE, *VELOCITY} <= set(observed):
+            if derived(runs, logs[0].dt):
+                observed = list(POSE)
+            elif contradictory(logs):
+                observed = list(VELOCITY)
         return cls(
             stage, columns, first, last, np.concatenate(start), np.concatenate(run), length, logs[0].dt, tuple(observed)
         )
@@ -83,8 +94,9 @@ class Evidence:
         measured = np.stack([self.columns[name][rows] for name in self.observed])  # (C, W, T + 1)
         initial = np.zeros((len(states), len(self.start)))
         for i, name in enumerate(states):
-            if name in STATE and name in self.columns:
-                initial[i] = self.columns[name][self.start]
+            source = name if name in self.columns else INSTEAD.get(name)
+            if name in STATE and source in self.columns:
+                initial[i] = self.columns[source][self.start]
         return Windows(
             initial,
             np.ascontiguousarray(inputs.transpose(2, 0, 1)),
@@ -157,6 +169,12 @@ class Evidence:
             for name in names
         ]
         return np.maximum(np.array(deviation), 1e-9)
+
+
+def contradictory(logs: Sequence[Log]) -> bool:
+    """Return whether velocities lag the poses that they belong to, so that no car could show both."""
+    lags = [lag for log in logs if (lag := pose_lag(log)) is not None]
+    return any(abs(lag.seconds) > LATE for lag in lags)
 
 
 def derived(runs: Sequence[pd.DataFrame], dt: float) -> bool:

@@ -11,7 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from racerl.gap.catalogue import placed
 from racerl.gap.evidence import Evidence
+from racerl.gap.growth import places
 from racerl.gap.kernels import StageKernels
 from racerl.gap.problem import Fit, Problem, StageProblem, Unknown, expected_errors
 from racerl.gap.score import Score, merged, score
@@ -25,6 +27,7 @@ Names = frozenset[str]
 SHARE = 0.1  # of a channel's misfit that counts as noise in its weight
 NOMINAL, SCREEN, REFINE = 20, 3, 8  # most iterations of the nominal fit, of screening, of a candidate
 ASTRAY = 1.3  # times the noise's cost, beyond which a fit says little of the parameters
+PLACES, REACH = 2, 1.5  # of an effect that lies somewhere: places that fits start from, and their size in m
 SAMPLED = 3  # every which window screening looks at
 STRETCH = 6  # windows that are held out together
 WIDE = 3.0  # deviation of an effect's parameters, in their usual sizes
@@ -150,7 +153,7 @@ class Investigation:
         stage shows the effect.
         """
         best: Screened | None = None
-        for effect in self.catalogue[name]:
+        for effect in self._likely(base, name):
             vehicle = replace(base.vehicle, effects={**base.vehicle.effects, name: effect})
             stages = self.touched(vehicle, frozenset([name]))
             if not stages:
@@ -164,6 +167,15 @@ class Investigation:
             if best is None or gain > best.gain:
                 best = Screened(name, found.vehicle, gain)
         return best
+
+    def _likely(self, base: Found, name: str) -> list[Effect]:
+        """Return the starts of an effect; one that lies somewhere starts where errors grow most."""
+        starts, evidence = list(self.catalogue[name]), self.evidence.get("chassis")
+        if not placed(name) or evidence is None or not {"x", "y"} <= set(evidence.columns):
+            return starts
+        found = base if "chassis" in base.initial else self.base
+        errors, noise = self.errors(found)["chassis"], self.noise["chassis"]
+        return [replace(starts[0], **{"x": x, "y": y}) for x, y in places(evidence, errors, noise, REACH, PLACES)]
 
     def _astray(self, base: Found, stages: Iterable[str]) -> bool:
         """Return whether a fit is so far from the noise that it may have led the parameters astray."""

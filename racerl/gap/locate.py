@@ -1,9 +1,7 @@
 """Where simulation and measurement part: errors by horizon, and maps of how fast they grow over what the car was doing.
 
-Windows are cut into segments. An error's growth over a segment, d = ē_end − ē_begin with ē a mean of three samples, is
-local, while the error itself carries along what happened before. Under noise alone d² is 2σ²/3. Whether d² depends on a
-condition is tested by rolling the conditions against it, so that what is alike within a stretch stays together; the
-false-discovery rate over all maps is held at 5 %.
+Whether the growth depends on a condition is tested by rolling the conditions against it, so that what is alike within a
+stretch stays together; the false-discovery rate over all maps is held at 5 %.
 """
 
 from collections.abc import Mapping
@@ -15,11 +13,11 @@ from numpy.typing import NDArray
 from scipy.stats import false_discovery_control
 
 from racerl.gap.evidence import COMMANDS, Evidence
+from racerl.gap.growth import growth, segments
 from racerl.gap.investigation import Investigation
 
 Array = NDArray[np.float64]
 HORIZONS = (1, 5, 20, 50, 85)
-SEGMENT = 17  # samples
 BINS = 6  # of equal counts; the outer ones hold the tails, too
 TAIL = 0.01
 ROLLS = 400
@@ -80,22 +78,6 @@ def horizons(errors: Array) -> dict[str, list[float]]:
     return {str(h): np.sqrt((errors[h] ** 2).mean(axis=1)).tolist() for h in HORIZONS if h < len(errors)}
 
 
-def growth(errors: Array) -> Array:
-    """Return d (W·K, C) of every segment, in the windows' order."""
-    length = len(errors)
-    ends = np.arange(0, length - SEGMENT, SEGMENT)
-    mean = (errors[:-2] + errors[1:-1] + errors[2:]) / 3.0
-    d = mean[np.minimum(ends + SEGMENT, len(mean) - 1)] - mean[ends]  # (K, C, W)
-    return d.transpose(2, 0, 1).reshape(-1, errors.shape[1])
-
-
-def _segments(evidence: Evidence, values: Array) -> Array:
-    """Return a condition's mean over every segment (W·K,)."""
-    ends = np.arange(0, evidence.length + 1 - SEGMENT, SEGMENT)
-    rows = evidence.start[:, None, None] + ends[None, :, None] + np.arange(SEGMENT)
-    return values[rows].mean(axis=2).ravel()
-
-
 def maps(investigation: Investigation, errors: Mapping[str, Array], seed: int) -> list[dict[str, Any]]:
     """Return a map of every stage's channels over every condition; `p` is adjusted for the number of maps."""
     generator = np.random.default_rng(seed)
@@ -103,9 +85,9 @@ def maps(investigation: Investigation, errors: Mapping[str, Array], seed: int) -
     car = investigation.base.vehicle
     for name, part in errors.items():
         evidence = investigation.evidence[name]
-        power = growth(part) ** 2 / (2.0 / 3.0 * investigation.noise[name] ** 2)  # 1 under noise alone
+        power = growth(part, investigation.noise[name])
         for key, condition in conditions(evidence, float(car.l_f), float(car.l_r)).items():
-            values = _segments(evidence, condition.values)
+            values = segments(evidence, condition.values)
             edges = np.quantile(values, [TAIL, *np.linspace(0.0, 1.0, BINS + 1)[1:-1], 1.0 - TAIL])
             if len(np.unique(edges)) < BINS + 1:
                 continue

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from racerl.gap.catalogue import placed
 from racerl.gap.investigation import Found, Investigation
 
 Array = NDArray[np.float64]
@@ -99,9 +100,12 @@ def _round(judge: "Judge", decision: Decision, on_progress: Callable[[str, float
     investigation, current = judge.investigation, decision.found
     gains = investigation.score(current).gains()
     promising = sorted((n for n in gains if n not in decision.chosen and gains[n] > HOPELESS), key=lambda n: -gains[n])
+    shortlist = promising[:SHORTLIST]
+    if shortlist and "chassis" in investigation.evidence:  # the score knows one place only
+        shortlist += [n for n in gains if placed(n) and n not in (*shortlist, *decision.chosen)]
     tried = []
-    for i, name in enumerate(promising[:SHORTLIST]):
-        on_progress(name, i / SHORTLIST)
+    for i, name in enumerate(shortlist):
+        on_progress(name, i / len(shortlist))
         tried.append(investigation.screen(current, name))
     screened = sorted((each for each in tried if each is not None), key=lambda each: -each.gain)
     hopeful = [each for each in screened[:CONTINUED] if each.gain > FAINT * screened[0].gain]

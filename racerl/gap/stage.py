@@ -10,8 +10,8 @@ latency of the outputs − latency of the input, input i acts as u_i(t − τ_i)
 of a rollout; a further shift is linear, u_i − Δτ_i u̇_i, which gives the sensitivity to it.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 from racerl.vehicle.actuator import Given
@@ -49,11 +49,16 @@ class Stage:
         return steering + shown - latencies.get(first, 0.0), drive + shown - latencies.get(second, 0.0)
 
 
-STAGES = (
-    Stage("steering", ("delta_ref", "omega"), ("delta",)),
-    Stage("drive", ("delta", "omega_ref"), ("omega",)),
-    Stage("chassis", ("delta", "omega"), ("x", "y", "yaw", "v_x", "v_y", "yaw_rate")),
-)
+STEERING = Stage("steering", ("delta_ref", "omega"), ("delta",))
+DRIVE = Stage("drive", ("delta", "omega_ref"), ("omega",))
+CHASSIS = Stage("chassis", ("delta", "omega"), ("x", "y", "yaw", "v_x", "v_y", "yaw_rate"))
+
+
+def stages(channels: Collection[str]) -> tuple[Stage, ...]:
+    """Return the stages of logs with these channels; where an actuator was not measured, its command drives."""
+    steering = "delta" if "delta" in channels or "delta_ref" not in channels else "delta_ref"
+    drive = "omega" if "omega" in channels or "omega_ref" not in channels else "omega_ref"
+    return STEERING, DRIVE, replace(CHASSIS, inputs=(steering, drive))
 
 
 class StageEquations(Equations):

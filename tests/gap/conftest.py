@@ -1,6 +1,5 @@
 """A short drive of a car with known effects, as a log."""
 
-import numpy as np
 import pytest
 
 from racerl.assemble import conf_folder
@@ -9,7 +8,7 @@ from racerl.data.log import Log
 from racerl.gap.catalogue import starts
 from racerl.gap.evidence import Evidence
 from racerl.gap.investigation import Investigation
-from racerl.gap.stage import STAGES
+from racerl.gap.stage import CHASSIS, DRIVE, STEERING
 from racerl.identify.unknowns import choose_unknowns
 from racerl.record.record import Plan, table
 from racerl.vehicle.load import load_vehicle
@@ -26,9 +25,8 @@ def investigate(log: Log, *names: str) -> Investigation:
     settings = compose_settings("identify", ["vehicle=published", "logs=[drive]"])
     vehicle = load_vehicle(settings["vehicle"])
     unknowns = choose_unknowns(vehicle, settings["priors"], [], vehicle)
-    extent = np.array([[log.array(axis).min(), log.array(axis).max()] for axis in ("x", "y")])
-    catalogue = {name: starts(name, conf_folder() / "vehicle" / "effect", extent) for name in names}
-    cut = [Evidence.of([log], stage, 85, 0.5) for stage in STAGES]
+    catalogue = {name: starts(name, conf_folder() / "vehicle" / "effect") for name in names}
+    cut = [Evidence.of([log], stage, 85, 0.5) for stage in (STEERING, DRIVE, CHASSIS)]
     return Investigation({each.stage.name: each for each in cut}, vehicle, unknowns, catalogue, threads=2)
 
 
