@@ -149,7 +149,7 @@ def _steps(
         "worse": proof["worse"],
         "blind_to": list(verdict.blind),
     }
-    return facts, decision.found if verdict.effects else investigation.base
+    return facts, decision.found if facts["effects"] else investigation.base
 
 
 def _once(path: Path, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
@@ -165,12 +165,7 @@ def _named(
     decision: Decision, verdict: Verdict, found: Mapping[str, Mapping[str, tuple[float, float, float]]]
 ) -> dict[str, Any]:
     units = {name: unit.unit for name, unit in specifications(decision.found.vehicle).items()}
-    first = max(decision.excess[0], 1e-12)
-    shares = {
-        row[0].name: row[0].explained * max(before, 0.0) / first
-        for row, before in zip(decision.rounds, decision.excess, strict=False)
-        if row
-    }
+    shares = {row[0].name: row[0].worth for row in decision.rounds if row}
     return {
         "effects": [
             {

@@ -4,6 +4,7 @@ Stages that no effect of a set touches keep the nominal fit, so that sets are co
 all windows rank; fits that leave folds of runs out decide.
 """
 
+import functools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -47,11 +48,12 @@ class Found:
 
 
 class Screened(NamedTuple):
-    """A candidate after a few steps: the vehicle that it led to, and its gain."""
+    """A candidate after a few steps: the vehicle that it led to, its gain, and the stage that gains most."""
 
     name: str
     vehicle: Vehicle
     gain: float
+    stage: str
 
 
 class Investigation:
@@ -163,9 +165,10 @@ class Investigation:
                 vehicle, iterations = replace(self.vehicle, effects=vehicle.effects), REFINE
             some = {stage: np.arange(len(self.evidence[stage].start))[::SAMPLED] for stage in stages}
             found = self._fit(base.effects | {name}, vehicle, self._start(base, stages), iterations, stages, some)
-            gain = float(sum((self.cost(base, s)[some[s]] - found.cost[s]).sum() for s in stages))
+            gains = {s: float((self.cost(base, s)[some[s]] - found.cost[s]).sum()) for s in stages}
+            gain = sum(gains.values())
             if best is None or gain > best.gain:
-                best = Screened(name, found.vehicle, gain)
+                best = Screened(name, found.vehicle, gain, max(gains, key=lambda s: gains[s]))
         return best
 
     def _likely(self, base: Found, name: str) -> list[Effect]:
@@ -182,19 +185,21 @@ class Investigation:
         names = list(stages)
         return sum(self.cost(base, name).sum() for name in names) > ASTRAY * sum(self.floor[name] for name in names)
 
-    def score(self, base: Found) -> Score:
-        """Return the score of every effect that a fitted vehicle lacks, summed over the stages."""
-        total: Score | None = None
+    def scores(self, base: Found) -> dict[str, Score]:
+        """Return the score of every effect that a fitted vehicle lacks, per stage."""
         start = self._start(base, self.evidence)
+        unknowns = [*self.unknowns, *(u for effect in sorted(base.effects) for u in _free(base.vehicle, effect))]
+        found = {}
         for name, evidence in self.evidence.items():
-            unknowns = [*self.unknowns, *(u for effect in sorted(base.effects) for u in _free(base.vehicle, effect))]
             problem = StageProblem.of(
                 evidence, self.kernels[name], base.vehicle, unknowns, self.sigma[name], self.threads, whole=True
             )
-            found = score(problem, base.theta, start.initial[name])
-            total = found if total is None else merged(total, found)
-        assert total is not None  # noqa: S101
-        return total
+            found[name] = score(problem, base.theta, start.initial[name])
+        return found
+
+    def score(self, base: Found) -> Score:
+        """Return the scores summed over the stages."""
+        return functools.reduce(merged, self.scores(base).values())
 
     def add(self, base: Found, screened: Screened) -> Found:
         """Fit a vehicle with an effect more than a fitted one has, over the stages that they touch."""
@@ -224,7 +229,7 @@ class Investigation:
         """Fit a vehicle that lacks one effect of a fitted one, over the same stages."""
         others = {key: effect for key, effect in base.vehicle.effects.items() if key != name}
         vehicle = replace(base.vehicle, effects=others)
-        return self._fit(base.effects - {name}, vehicle, self._start(base, base.cost), REFINE, base.cost)
+        return self._fit(base.effects - {name}, vehicle, self._start(base, base.cost), NOMINAL, base.cost)
 
     def _start(self, base: Found, stages: Iterable[str]) -> Found:
         missing = {name: self.base.initial[name] for name in stages if name not in base.initial}

@@ -4,26 +4,26 @@ Round by round the effect that helps most on held-out windows is added, until no
 that is no longer needed beside the others is taken out again.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from racerl.gap.catalogue import placed
-from racerl.gap.investigation import Found, Investigation
+from racerl.gap.investigation import Found, Investigation, Screened
 
 Array = NDArray[np.float64]
-SHORTLIST, CONTINUED = 8, 4  # candidates that are screened, and that are fitted to the end
+SHORTLIST, CONTINUED = 8, 4  # candidates that are screened in the chassis stage, and fitted to the end in each
 FAINT = 0.15  # of the most gain in screening, below which a candidate is given up
 CLOSE = 0.5  # of the most gain, above which a candidate's fit is carried on to its end
 HOPELESS = 30.0  # first-order gain, a χ², below which no effect is worth a fit
-ROUNDS = 3
+ROUNDS = 4
 RESAMPLES = 2000
 CLEAR = 3.0  # standard errors by which a gain must differ from zero
 SAME = 2.0  # standard errors within which candidates explain alike
 PARAMETER = 0.01  # share of the excess that one more parameter must explain
-WILD = 30.0  # mean squared deviation of a window beyond which its size says nothing more
+WILD, TYPICAL = 30.0, 10.0  # mean squared deviation of a wild window, and its cost in median ones
 WORTH = 0.04  # share of the first excess, and of what is left of it before the round, that an effect must explain
 
 
@@ -32,8 +32,8 @@ class Scored:
     """A candidate on held-out windows: its fit, its cost per window and stage, and what it gains.
 
     `gain` is in squared deviations, robust against wild windows, `error` its standard error over blocks of windows;
-    `explained` the share of the excess before it that it takes away; `behind` is how much the round's best one gains
-    beyond it, in standard errors of the difference.
+    `explained` the share that it takes of the excess in the stages that it touches, `worth` of the first one there;
+    `behind` is how much the round's best one gains beyond it, in standard errors of the difference.
     """
 
     name: str
@@ -43,6 +43,7 @@ class Scored:
     error: float
     p: float
     explained: float
+    worth: float
     behind: float = 0.0
 
     @property
@@ -62,6 +63,7 @@ class Decision:
 
     chosen: list[str]
     found: Found
+    first: Mapping[str, Array]  # held-out costs without any effect, and with those chosen
     cost: dict[str, Array]
     rounds: list[list[Scored]] = field(default_factory=list)
     excess: list[float] = field(default_factory=list)  # of the cost over the noise, before each round and at the end
@@ -71,14 +73,14 @@ def name_effects(
     investigation: Investigation, seed: int, on_progress: Callable[[str, float], None] = lambda what, share: None
 ) -> Decision:
     """Return the effects that held-out windows ask for."""
-    judge = Judge(investigation, np.random.default_rng(seed))
     base = investigation.base
     cost = investigation.held_out(base)
-    decision = Decision([], base, cost, excess=[excess(investigation, cost)])
+    judge = Judge(investigation, np.random.default_rng(seed), cost)
+    decision = Decision([], base, cost, cost, excess=[excess(investigation, cost)])
     for number in range(ROUNDS):
         scored = _round(judge, decision, _within(on_progress, number))
         decision.rounds.append(scored)
-        if not scored or not scored[0].clear or not _worth(decision, scored[0]):
+        if not scored or not scored[0].clear or min(scored[0].explained, scored[0].worth) < WORTH:
             break
         best = scored[0]
         decision.chosen.append(best.name)
@@ -91,24 +93,15 @@ def _within(on_progress: Callable[[str, float], None], number: int) -> Callable[
     return lambda what, share: on_progress(what, (number + share) / ROUNDS)
 
 
-def _worth(decision: Decision, best: Scored) -> bool:
-    return best.explained > WORTH and best.explained * decision.excess[-1] > WORTH * decision.excess[0]
-
-
 def _round(judge: "Judge", decision: Decision, on_progress: Callable[[str, float], None]) -> list[Scored]:
     """Return the candidates beside those chosen, on held-out windows, best first."""
     investigation, current = judge.investigation, decision.found
-    gains = investigation.score(current).gains()
-    promising = sorted((n for n in gains if n not in decision.chosen and gains[n] > HOPELESS), key=lambda n: -gains[n])
-    shortlist = promising[:SHORTLIST]
-    if shortlist and "chassis" in investigation.evidence:  # the score knows one place only
-        shortlist += [n for n in gains if placed(n) and n not in (*shortlist, *decision.chosen)]
+    shortlist = _shortlist(investigation, current)
     tried = []
     for i, name in enumerate(shortlist):
         on_progress(name, i / len(shortlist))
         tried.append(investigation.screen(current, name))
-    screened = sorted((each for each in tried if each is not None), key=lambda each: -each.gain)
-    hopeful = [each for each in screened[:CONTINUED] if each.gain > FAINT * screened[0].gain]
+    hopeful = [each for stage in investigation.evidence for each in _hopeful(tried, stage)]
     scored = [judge.score(each.name, investigation.add(current, each), decision.cost) for each in hopeful]
     most = max((row.gain for row in scored), default=0.0)
     near = [row.gain > max(CLOSE * most, CLEAR * row.error) for row in scored]
@@ -124,14 +117,32 @@ def _round(judge: "Judge", decision: Decision, on_progress: Callable[[str, float
     return [replace(row, behind=judge.behind(scored[0], row, decision.cost)) for row in scored]
 
 
+def _shortlist(investigation: Investigation, current: Found) -> list[str]:
+    """Return the effects with the largest first-order gains in each stage, since stages do not compete."""
+    names: list[str] = []
+    for stage, score in investigation.scores(current).items():
+        gains = {name: gain for name, gain in score.gains().items() if gain > HOPELESS}
+        names += sorted(gains, key=lambda name: -gains[name])[: SHORTLIST if stage == "chassis" else SHORTLIST // 2]
+        if stage == "chassis" and gains:  # the score knows one place only
+            names += [name for name in score.names if placed(name)]
+    return list(dict.fromkeys(names))
+
+
+def _hopeful(tried: Sequence[Screened | None], stage: str) -> list[Screened]:
+    """Return the candidates that help most of those whose gain is mainly in one stage."""
+    mine = [each for each in tried if each is not None and each.stage == stage and each.gain > 0.0]
+    mine.sort(key=lambda each: -each.gain)
+    return [each for each in mine[:CONTINUED] if each.gain > FAINT * mine[0].gain]
+
+
 def _without_needless(judge: "Judge", decision: Decision) -> Decision:
     """Take out effects that the others made needless."""
     for name in decision.chosen[:-1]:
         others = [other for other in decision.chosen if other != name]
         less = judge.investigation.without(decision.found, name)
         cost = {**decision.cost, **judge.investigation.held_out(less)}
-        gain, error = judge.gain(cost, decision.cost)
-        if gain < CLEAR * error or excess(judge.investigation, cost) - decision.excess[-1] < WORTH * decision.excess[0]:
+        scored = judge.score(name, decision.found, cost)
+        if not scored.clear or scored.worth < WORTH:
             decision = replace(decision, chosen=others, found=less, cost=cost)
             decision.excess.append(excess(judge.investigation, cost))
     return decision
@@ -139,12 +150,21 @@ def _without_needless(judge: "Judge", decision: Decision) -> Decision:
 
 def excess(investigation: Investigation, cost: Mapping[str, Array]) -> float:
     """Return the cost beyond what the sensors' noise alone would leave; wild windows count up to a limit."""
-    total = 0.0
-    for name, part in cost.items():
-        evidence = investigation.evidence[name]
-        most = WILD * len(evidence.observed) * (evidence.length + 1)
-        total += float(np.minimum(part, most).sum()) - investigation.floor[name]
-    return total
+    return sum(max(0.0, part) for part in excesses(investigation, cost).values())
+
+
+def excesses(investigation: Investigation, cost: Mapping[str, Array]) -> dict[str, float]:
+    """Return the excess of every stage; below zero where the noise is known too badly."""
+    return {
+        name: float(np.minimum(part, wild(investigation, name)).sum()) - investigation.floor[name]
+        for name, part in cost.items()
+    }
+
+
+def wild(investigation: Investigation, stage: str) -> float:
+    """Return the cost of a window beyond which its size says nothing more."""
+    evidence, cost = investigation.evidence[stage], investigation.base.cost[stage]
+    return max(WILD * len(evidence.observed) * (evidence.length + 1), TYPICAL * float(np.median(cost)))
 
 
 @dataclass(frozen=True)
@@ -153,15 +173,18 @@ class Judge:
 
     investigation: Investigation
     generator: np.random.Generator
+    first: Mapping[str, Array]  # costs without any effect
 
     def score(self, name: str, found: Found, before: Mapping[str, Array]) -> Scored:
         """Return a candidate's gain against the costs before it."""
         cost = self.investigation.held_out(found)
         gain, error = self.gain(before, cost)
-        had = excess(self.investigation, before)
-        least = 0.001 * sum(self.investigation.floor.values())  # an excess as small as this is noise itself
-        share = (had - excess(self.investigation, {**before, **cost})) / max(had, least)
-        return Scored(name, found, cost, gain, error, self.chance(before, cost), share)
+        old = {stage: before[stage] for stage in cost}
+        least = 0.001 * sum(self.investigation.floor[stage] for stage in cost)  # so small an excess is noise itself
+        had, first = (excess(self.investigation, part) for part in (old, {s: self.first[s] for s in cost}))
+        taken = had - excess(self.investigation, cost)
+        share, worth = taken / max(had, least), taken / max(first, least)
+        return Scored(name, found, cost, gain, error, self.chance(before, cost), share, worth)
 
     def behind(self, best: Scored, other: Scored, before: Mapping[str, Array]) -> float:
         """Return by how many standard errors a candidate is worse than the best."""
@@ -191,7 +214,6 @@ class Judge:
         return np.concatenate(parts)
 
     def loss(self, stage: str, cost: Array) -> Array:
-        """Return n log(1 + cost/n) of every window's n numbers: a window that no fit foresaw does not decide alone."""
-        evidence = self.investigation.evidence[stage]
-        n = len(evidence.observed) * (evidence.length + 1)
+        """Return n log(1 + cost/n), n the cost of a usual window: one that no fit foresaw does not decide alone."""
+        n = wild(self.investigation, stage) / WILD
         return n * np.log1p(cost / n)

@@ -14,11 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from racerl.gap.investigation import Investigation
-from racerl.gap.name import PARAMETER, Decision, Scored
+from racerl.gap.name import PARAMETER, Decision, Scored, excesses
 from racerl.gap.score import Score
 
 REAL = 0.05  # excess cost over the noise's that is real: the noise itself is known to a few percent
 LEFT = 0.25  # share of the first excess that may stay behind when the name is right
+COARSE = 30.0  # excess over the noise's cost, beyond which noise is no yardstick: a real car, smoothed sensors
 ALIKE = 3.0  # standard errors that a rival may be behind
 EQUAL = 0.05  # share of the excess that a rival may explain less
 SHOWS = 30.0  # first-order gain, a χ², at its usual size that makes an effect show
@@ -38,26 +39,38 @@ class Verdict:
 
 def judge(investigation: Investigation, decision: Decision, score: Score) -> Verdict:
     """Return the verdict; `score` is that of the nominal fit."""
-    noise = sum(investigation.floor.values())
-    first, left = decision.excess[0], decision.excess[-1]
     blind = hidden(score)
-    rivals = tuple(name for row in _rounds(decision) for name in equals(row))
     effects = tuple(decision.chosen)
+    rivals = tuple(name for row in _rounds(decision) for name in equals(row) if name not in effects)
+    stage, left, first = open_stage(investigation, decision)
     if not effects:
-        if first > REAL * noise:
-            reason = f"an excess of {first / noise:.0%} over the noise's cost, which no effect explains"
+        if stage:
+            reason = f"the {stage} stage has an excess of {first:.0%} over the noise's cost, which no effect explains"
             return Verdict("unknown", (), (), blind, reason)
         if len(blind) > MOST * len(score.names):
             reason = f"{len(blind)} of {len(score.names)} effects would not show at their usual size"
             return Verdict("under_excited", (), (), blind, reason)
         return Verdict("none", (), (), blind, "the refitted vehicle reaches the noise")
-    if left > REAL * noise and left > LEFT * first:
-        reason = f"{' and '.join(effects)} helps, but leaves {left / first:.0%} of the excess"
-        return Verdict("unknown", (), (), blind, reason)
-    explained = f"{' and '.join(effects)} explains {1.0 - max(left, 0.0) / first:.0%} of the excess"
+    if stage:
+        reason = f"{' and '.join(effects)} helps, but leaves {left / first:.0%} of the excess in the {stage} stage"
+        return Verdict("unknown", effects, (), blind, reason)
+    total, rest = decision.excess[0], decision.excess[-1]
+    explained = f"{' and '.join(effects)} explains {1.0 - rest / total:.0%} of the excess"
     if rivals:
         return Verdict("ambiguous", effects, rivals, blind, f"{explained}, and so does {' or '.join(rivals)}")
     return Verdict("named" if len(effects) == 1 else "multiple", effects, (), blind, explained)
+
+
+def open_stage(investigation: Investigation, decision: Decision) -> tuple[str, float, float]:
+    """Return the stage whose excess is real and not explained, with that and its first one, over the noise's cost."""
+    before, after = (excesses(investigation, cost) for cost in (decision.first, decision.cost))
+    worst = ("", 0.0, 0.0)
+    for name, noise in investigation.floor.items():
+        left, first = after[name] / noise, before[name] / noise
+        coarse = decision.chosen and left > COARSE
+        if left > REAL and left > LEFT * first and not coarse and left > worst[1]:
+            worst = (name, left, first)
+    return worst
 
 
 def _rounds(decision: Decision) -> list[list[Scored]]:
