@@ -63,8 +63,7 @@ class Decision:
 
     chosen: list[str]
     found: Found
-    first: Mapping[str, Array]  # held-out costs without any effect, and with those chosen
-    cost: dict[str, Array]
+    cost: dict[str, Array]  # of held-out windows
     rounds: list[list[Scored]] = field(default_factory=list)
     excess: list[float] = field(default_factory=list)  # of the cost over the noise, before each round and at the end
 
@@ -76,7 +75,7 @@ def name_effects(
     base = investigation.base
     cost = investigation.held_out(base)
     judge = Judge(investigation, np.random.default_rng(seed), cost)
-    decision = Decision([], base, cost, cost, excess=[excess(investigation, cost)])
+    decision = Decision([], base, cost, excess=[excess(investigation, cost)])
     for number in range(ROUNDS):
         scored = _round(judge, decision, _within(on_progress, number))
         decision.rounds.append(scored)
@@ -179,11 +178,12 @@ class Judge:
         """Return a candidate's gain against the costs before it."""
         cost = self.investigation.held_out(found)
         gain, error = self.gain(before, cost)
-        old = {stage: before[stage] for stage in cost}
-        least = 0.001 * sum(self.investigation.floor[stage] for stage in cost)  # so small an excess is noise itself
-        had, first = (excess(self.investigation, part) for part in (old, {s: self.first[s] for s in cost}))
-        taken = had - excess(self.investigation, cost)
-        share, worth = taken / max(had, least), taken / max(first, least)
+        stages = self.investigation.touched(found.vehicle, frozenset([name]))
+        least = 0.001 * sum(self.investigation.floor[stage] for stage in stages)  # so small an excess is noise itself
+        had, left, first = (
+            excess(self.investigation, {stage: part[stage] for stage in stages}) for part in (before, cost, self.first)
+        )
+        share, worth = (had - left) / max(had, least), (had - left) / max(first, least)
         return Scored(name, found, cost, gain, error, self.chance(before, cost), share, worth)
 
     def behind(self, best: Scored, other: Scored, before: Mapping[str, Array]) -> float:

@@ -338,7 +338,7 @@ class Problem:
             damping = HELD_DAMPING
             while True:  # until the step spoils the windows that it was made from no longer
                 trained = list(self._at(fit, self._moved(H, -g, self._vector(fit), damping), seen))
-                if sum(work.squares() for _, _, work in trained) < SPOILT * before or damping > WORST:
+                if sum(float(work.squares().sum()) for _, _, work in trained) < SPOILT * before or damping > WORST:
                     break
                 damping *= 30.0
             yield from self._at(fit, self._moved(H, -g, self._vector(fit), damping), fold)
@@ -357,7 +357,7 @@ class Problem:
                 work = _Work(replace(stage, names=(), vehicle=_with(stage.vehicle, theta)), {}, np.flatnonzero(mask))
                 start = fit.initial[i].copy()
                 start[work.rows] += line.follow(step[self._places(stage)], 0.0)
-                work.initial = start[:, mask]
+                work.begin(fit.initial[i][:, mask], start[:, mask])
                 yield i, mask, work
 
     def covariance(self, fit: Fit, blocks: Sequence[NDArray[np.int64]]) -> Array:
@@ -461,11 +461,23 @@ class _Work:
         step[self.rows] = line.follow(moved, damping)
         return step
 
+    def begin(self, *initials: Array) -> None:
+        """Start every window from the initial state that fits it best."""
+        squares = []
+        for initial in initials:
+            self.initial = initial
+            squares.append(self.squares())
+        best = np.argmin(np.nan_to_num(squares, nan=np.inf), axis=0)
+        self.initial = np.choose(best, initials)
+
     def settled(self) -> Array:
-        """Return the cost per window once every initial state has taken its own best step."""
-        before = self.linearise({})
-        self.initial = self.initial + self.spread(before, np.zeros(0), 0.0)
-        return np.fmin(before.cost, self.linearise({}).cost)
+        """Return the cost per window once every initial state has taken its own best step, if that helps."""
+        before, kept = self.linearise({}), self.initial
+        self.initial = kept + self.spread(before, np.zeros(0), 0.0)
+        after = self.linearise({})
+        better = after.cost < before.cost
+        self.initial = np.where(better, self.initial, kept)
+        return np.where(better, after.cost, before.cost)
 
     def errors(self) -> Array:
         """Return simulated − measured (T + 1, C, W) from the initial states as they are."""
@@ -473,6 +485,8 @@ class _Work:
         shown = self.problem.rollout.predict(self.problem.parameters({}), windows, self.problem.threads)
         return shown - windows.measured
 
-    def squares(self) -> float:
-        """Return the summed squared errors over the noise, as the initial states are."""
-        return float(((self.errors() / self.problem.sigma[:, None]) ** 2).sum())
+    def squares(self) -> Array:
+        """Return the summed squared errors over the noise (W,), as the initial states are."""
+        with np.errstate(all="ignore"):
+            squares: Array = ((self.errors() / self.problem.sigma[:, None]) ** 2).sum(axis=(0, 1))
+        return squares

@@ -1,6 +1,6 @@
 """The proof: how far the gap shrinks on windows that no fit has seen, per channel and horizon."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from racerl.gap.investigation import Found, Investigation
 from racerl.gap.locate import HORIZONS, maps
+from racerl.gap.name import TYPICAL, WILD
 
 Array = NDArray[np.float64]
 RESAMPLES = 2000
@@ -15,20 +16,36 @@ WORSE = 1.05  # times the error before, beyond which a channel has become worse
 
 
 def prove(investigation: Investigation, found: Found, seed: int) -> dict[str, Any]:
-    """Return the gap before and after; `before` is the refitted vehicle without the effects found."""
+    """Return the gap before and after; `before` is the refitted vehicle without the effects found.
+
+    Windows that some vehicle misses by far, such as spins that it foretells the other way round, are counted apart.
+    """
     base = investigation.held_out_errors(investigation.base)
     after = {**base, **investigation.held_out_errors(found)}
     unfitted = investigation.errors(investigation.unfitted())
-    powers = [_power(investigation, errors) for errors in (unfitted, base, after, investigation.noise_errors)]
-    gap = _gap(*(np.concatenate(list(part.values())) for part in powers))
-    gap["ci95"] = _interval(investigation, *powers[1:], seed=seed)
-    gap["by_channel"] = _by_channel(investigation, base, after)
+    told = (unfitted, base, after, investigation.noise_errors)
+    powers = [_power(investigation, errors) for errors in told]
+    tame = {stage: _tame(investigation, stage, [power[stage] for power in powers]) for stage in base}
+    gap = _gap(*(np.concatenate([part[stage][tame[stage]] for stage in base]) for part in powers))
+    gap["ci95"] = _interval(investigation, *powers[1:], tame=tame, seed=seed)
+    calm = [{stage: errors[stage][:, :, tame[stage]] for stage in base} for errors in told]
+    gap["by_channel"] = _by_channel(investigation, *calm[1:])
     return {
         "gap": gap,
-        "by_horizon": _by_horizon(investigation, base, after, seed),
+        "wild_windows": {stage: int((~mask).sum()) for stage, mask in tame.items()},
+        "by_horizon": _by_horizon(investigation, calm[1], calm[2], tame, seed),
         "worse": [name for name, row in gap["by_channel"].items() if row["after"] > WORSE * row["before"]],
         "maps": {"before": maps(investigation, base, seed), "after": maps(investigation, after, seed)},
     }
+
+
+def _tame(investigation: Investigation, stage: str, powers: Sequence[Array]) -> NDArray[np.bool_]:
+    """Return the windows (W,) that no vehicle misses by far."""
+    evidence = investigation.evidence[stage]
+    numbers = len(evidence.observed) * (evidence.length + 1)
+    masks = [power < max(WILD * numbers, TYPICAL * float(np.median(power))) for power in powers]
+    tame: NDArray[np.bool_] = np.logical_and.reduce(masks)
+    return tame if tame.any() else np.ones_like(tame)
 
 
 def _power(investigation: Investigation, errors: Mapping[str, Array]) -> dict[str, Array]:
@@ -59,12 +76,13 @@ def _interval(
     after: Mapping[str, Array],
     floor: Mapping[str, Array],
     *,
+    tame: Mapping[str, NDArray[np.bool_]],
     seed: int,
 ) -> list[float]:
     """Return the 95 % interval of what is explained, over blocks of windows."""
     generator = np.random.default_rng(seed)
     sums = [
-        np.concatenate([np.bincount(investigation.blocks(name), part[name]) for name in before])
+        np.concatenate([np.bincount(investigation.blocks(name), part[name] * tame[name]) for name in before])
         for part in (before, after, floor)
     ]
     drawn = generator.integers(len(sums[0]), size=(RESAMPLES, len(sums[0])))
@@ -74,13 +92,16 @@ def _interval(
 
 
 def _by_channel(
-    investigation: Investigation, before: Mapping[str, Array], after: Mapping[str, Array]
+    investigation: Investigation,
+    before: Mapping[str, Array],
+    after: Mapping[str, Array],
+    floor: Mapping[str, Array],
 ) -> dict[str, dict[str, float]]:
     return {
         channel: {
             "before": _rms(before[name][:, c]),
             "after": _rms(after[name][:, c]),
-            "floor": _rms(investigation.noise_errors[name][:, c]),
+            "floor": _rms(floor[name][:, c]),
         }
         for name, evidence in investigation.evidence.items()
         for c, channel in enumerate(evidence.observed)
@@ -88,13 +109,17 @@ def _by_channel(
 
 
 def _by_horizon(
-    investigation: Investigation, before: Mapping[str, Array], after: Mapping[str, Array], seed: int
+    investigation: Investigation,
+    before: Mapping[str, Array],
+    after: Mapping[str, Array],
+    tame: Mapping[str, NDArray[np.bool_]],
+    seed: int,
 ) -> list[dict[str, Any]]:
     """Return errors by channel and horizon, with the 95 % interval of their ratio after/before."""
     generator = np.random.default_rng(seed)
     rows = []
     for name, evidence in investigation.evidence.items():
-        block = investigation.blocks(name)
+        block = np.unique(investigation.blocks(name)[tame[name]], return_inverse=True)[1]
         drawn = generator.integers(block.max() + 1, size=(RESAMPLES, block.max() + 1))
         for c, channel in enumerate(evidence.observed):
             for h in (h for h in HORIZONS if h < len(before[name])):

@@ -62,8 +62,12 @@ def judge(investigation: Investigation, decision: Decision, score: Score) -> Ver
 
 
 def open_stage(investigation: Investigation, decision: Decision) -> tuple[str, float, float]:
-    """Return the stage whose excess is real and not explained, with that and its first one, over the noise's cost."""
-    before, after = (excesses(investigation, cost) for cost in (decision.first, decision.cost))
+    """Return the stage whose excess is real and not explained, with that and its first one, over the noise's cost.
+
+    By the fits to all windows: on short logs, parameters that a fold knows badly look like an excess on held-out ones.
+    """
+    base = investigation.base.cost
+    before, after = (excesses(investigation, cost) for cost in (base, {**base, **decision.found.cost}))
     worst = ("", 0.0, 0.0)
     for name, noise in investigation.floor.items():
         left, first = after[name] / noise, before[name] / noise

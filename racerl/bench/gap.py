@@ -1,0 +1,163 @@
+"""The blind test of `racerl gap`: logs that hide something, and keys that the workflow never sees.
+
+`blind` is a folder with logs/*.parquet and keys.json, case → {effects: [{name, size, parameters, units}], set,
+programme, noise}; `python -m tests.gap.plant` writes one from the project's independent plant. Every case has a
+diagnosis in `work`, where an interrupted benchmark goes on.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from racerl.bench import Compose, Progress
+from racerl.documents import read_json
+from racerl.errors import ConfigError
+from racerl.gap.diagnose import VERDICT, gap
+from racerl.run import MANIFEST
+
+NAMED = ("named", "multiple")
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Diagnoses of at most `most` cases of a blind set, every one with `vehicle`."""
+
+    blind: str
+    work: str
+    vehicle: str
+    most: int
+
+    def measure(self, compose: Compose, threads: int, on_progress: Progress) -> dict[str, Any]:
+        """Return scores with 95 % intervals, the confusion matrix, and every case's outcome."""
+        folder = Path(self.blind)
+        if not (folder / "keys.json").is_file():
+            raise ConfigError(
+                f"benchmark.blind = {self.blind}: holds no keys.json; write one: python -m tests.gap.plant"
+            )
+        keys = read_json(folder / "keys.json")
+        logs = [path for path in sorted((folder / "logs").glob("*.parquet")) if path.stem in keys][: self.most]
+        rows = []
+        for i, log in enumerate(logs):
+            on_progress(i / len(logs), f"case {i + 1} of {len(logs)}")
+            words = [f"logs=['{log}']", f"vehicle={self.vehicle}", f"threads={threads}"]
+            rows.append(
+                outcome(log.stem, keys[log.stem], *_diagnosis(compose("gap", words), Path(self.work) / log.stem))
+            )
+        return {"gap": {"cases": rows, "scores": scores(rows), "confusion": confusion(rows)}}
+
+
+def _diagnosis(settings: dict[str, Any], out: Path) -> tuple[dict[str, Any], float | None]:
+    """Return a verdict and the seconds that it took, an earlier one where it is there."""
+    if not (out / VERDICT).is_file():
+        gap(settings, out)
+    return read_json(out / VERDICT), read_json(out / MANIFEST).get("seconds")
+
+
+def outcome(case: str, key: dict[str, Any], verdict: dict[str, Any], seconds: float | None) -> dict[str, Any]:
+    """Return what a case hid and what was said of it."""
+    truth = [effect["name"] for effect in key["effects"]]
+    found = [effect["name"] for effect in verdict["effects"]]
+    return {
+        "case": case,
+        "set": key["set"],
+        "programme": key["programme"],
+        "noise": key["noise"],
+        "structure": key.get("structure", "single_track"),
+        "truth": truth,
+        "sizes": [effect["size"] for effect in key["effects"]],
+        "verdict": verdict["verdict"],
+        "found": found,
+        "rivals": verdict["ambiguous_with"],
+        "explained": verdict["gap"]["explained"] if verdict["gap"] else None,
+        "errors": _parameter_errors(key, verdict),
+        "seconds": seconds,
+    }
+
+
+def _parameter_errors(key: dict[str, Any], verdict: dict[str, Any]) -> dict[str, float]:
+    """Return relative errors of parameters that plant and catalogue give the same name and unit."""
+    errors = {}
+    for true in key["effects"]:
+        for found in verdict["effects"]:
+            for name, value in true["parameters"].items():
+                p = found["parameters"].get(name) if found["name"] == true["name"] else None
+                if p and p["unit"] == true["units"][name] and value:
+                    errors[f"{true['name']}.{name}"] = abs(p["value"] / value - 1.0)
+    return errors
+
+
+def right(row: dict[str, Any]) -> bool:
+    """Return whether what is said is what was hidden."""
+    if not row["truth"]:
+        return row["verdict"] in ("none", "under_excited")
+    return row["verdict"] in NAMED and set(row["found"]) == set(row["truth"])
+
+
+def contained(row: dict[str, Any]) -> bool:
+    """Return whether all that was hidden is among what is reported."""
+    return set(row["truth"]) <= {*row["found"], *row["rivals"]}
+
+
+def wrong_name(row: dict[str, Any]) -> bool:
+    """Return whether a single name is claimed that was not hidden."""
+    return row["verdict"] == "named" and row["found"][0] not in row["truth"]
+
+
+def scores(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return shares with Wilson's 95 % interval, and medians."""
+    single = [row for row in rows if row["set"] == "single"]
+    strong = [row for row in single if row["programme"] == "excitation" and row["sizes"][0] != "small"]
+    shares: dict[str, tuple[Sequence[dict[str, Any]], Callable[[dict[str, Any]], bool]]] = {
+        "right name, medium and large effects on excitation logs": (strong, right),
+        "right name, all single effects": (single, right),
+        "right name, race laps": ([row for row in single if row["programme"] == "race"], right),
+        "truth in the reported set": (single, contained),
+        "wrong single name": (rows, wrong_name),
+        "false alarm on clean logs": ([row for row in rows if row["set"] == "clean"], lambda row: not right(row)),
+        "unknown, effects of no catalogue": (_of(rows, "unlisted"), lambda row: row["verdict"] == "unknown"),
+        "both of two effects": (_of(rows, "pairs"), right),
+        "no name on poor logs": (_of(rows, "poor"), lambda row: row["verdict"] not in NAMED or right(row)),
+        "no single name on two-track cars": (_of(rows, "structure"), lambda row: not wrong_name(row)),
+    }
+    found: dict[str, Any] = {
+        title: share(sum(map(test, part)), len(part)) for title, (part, test) in shares.items() if part
+    }
+    reported = [len(row["found"]) + len(row["rivals"]) for row in single if row["found"]]
+    explained = sorted(row["explained"] for row in single if row["explained"] is not None and right(row))
+    errors = [error for row in single if row["sizes"] == ["medium"] for error in row["errors"].values()]
+    if reported:
+        found["mean size of the reported set"] = sum(reported) / len(reported)
+    if explained:
+        found["gap explained, median"] = median(explained)
+        found["gap explained, 10th percentile"] = explained[len(explained) // 10]
+    if errors:
+        found["parameter error at medium size, median"] = median(errors)
+    if seconds := [row["seconds"] for row in rows if row["seconds"]]:
+        found["seconds per diagnosis, median"] = median(seconds)
+    return found
+
+
+def _of(rows: Sequence[dict[str, Any]], name: str) -> list[dict[str, Any]]:
+    return [row for row in rows if row["set"] == name]
+
+
+def share(count: int, total: int) -> dict[str, Any]:
+    """Return a share with Wilson's 95 % interval."""
+    z, p = 1.96, count / total
+    middle, half = p + z * z / (2 * total), z * math.sqrt(p * (1 - p) / total + z * z / (4 * total * total))
+    scale = 1 + z * z / total
+    return {"count": count, "of": total, "share": p, "ci95": [(middle - half) / scale, (middle + half) / scale]}
+
+
+def confusion(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, int]]:
+    """Return how often each hidden effect was called what; a verdict without a name goes by the verdict's own."""
+    table: dict[str, Counter[str]] = {}
+    for row in rows:
+        if len(row["truth"]) <= 1:
+            said = " + ".join(sorted(row["found"])) if row["verdict"] in NAMED else row["verdict"]
+            table.setdefault(row["truth"][0] if row["truth"] else row["set"], Counter())[said] += 1
+    return {name: dict(counts) for name, counts in sorted(table.items())}

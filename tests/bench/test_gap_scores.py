@@ -1,0 +1,66 @@
+"""The blind test's scorer counts what it should."""
+
+import pytest
+
+from racerl.bench.gap import confusion, outcome, right, scores, share, wrong_name
+
+
+def case(truth, verdict, found=(), rivals=(), kind="single", size="medium", programme="excitation"):
+    key = {
+        "effects": [
+            {"name": name, "size": size, "parameters": {"delay": 0.04}, "units": {"delay": "s"}} for name in truth
+        ],
+        "set": kind,
+        "programme": programme,
+        "noise": 1.0,
+    }
+    told = {
+        "verdict": verdict,
+        "effects": [{"name": n, "parameters": {"delay": {"value": 0.05, "unit": "s"}}} for n in found],
+        "ambiguous_with": list(rivals),
+        "gap": {"explained": 0.9},
+    }
+    return outcome("c", key, told, 10.0)
+
+
+def test_a_name_is_right_only_if_it_is_the_hidden_one_and_the_only_one():
+    assert right(case(["a"], "named", ["a"])) and right(case(["a", "b"], "multiple", ["b", "a"], kind="pairs"))
+    for other in (("named", ["b"], []), ("multiple", ["a", "b"], []), ("ambiguous", ["a"], ["b"]), ("unknown", [], [])):
+        assert not right(case(["a"], *other))
+    assert right(case([], "none", kind="clean")) and not right(case([], "named", ["a"], kind="clean"))
+    assert wrong_name(case(["a"], "named", ["b"])) and not wrong_name(case(["a"], "ambiguous", ["b"], ["c"]))
+
+
+def test_scores_count_what_was_said():
+    rows = [
+        case(["a"], "named", ["a"]),
+        case(["a"], "ambiguous", ["b"], ["a"]),
+        case(["a"], "named", ["b"], size="small"),
+        case(["a"], "none", programme="race"),
+        case([], "none", kind="clean"),
+        case([], "ambiguous", ["a"], kind="clean"),
+        case(["x"], "unknown", kind="unlisted"),
+        case(["a", "b"], "multiple", ["a", "b"], kind="pairs"),
+    ]
+    found = scores(rows)
+    counts = {name: (row["count"], row["of"]) for name, row in found.items() if isinstance(row, dict)}
+    assert counts == {
+        "right name, medium and large effects on excitation logs": (1, 2),
+        "right name, all single effects": (1, 4),
+        "right name, race laps": (0, 1),
+        "truth in the reported set": (2, 4),
+        "wrong single name": (1, 8),
+        "false alarm on clean logs": (1, 2),
+        "unknown, effects of no catalogue": (1, 1),
+        "both of two effects": (1, 1),
+    }
+    assert found["mean size of the reported set"] == pytest.approx(4 / 3)
+    assert found["parameter error at medium size, median"] == pytest.approx(0.25)
+    assert confusion(rows)["a"] == {"a": 1, "ambiguous": 1, "b": 1, "none": 1}
+
+
+def test_wilson_intervals():
+    row = share(50, 50)  # 1 − z²/(n + z²)
+    assert row["ci95"] == pytest.approx([50 / (50 + 1.96**2), 1.0])
+    half = share(5, 10)
+    assert half["ci95"][0] == pytest.approx(0.2366, abs=1e-4) and sum(half["ci95"]) == pytest.approx(1.0)

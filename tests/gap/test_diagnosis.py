@@ -1,0 +1,238 @@
+"""racerl gap from a log to a verdict, a vehicle and a page; and what its steps are made of."""
+
+import dataclasses
+import shutil
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from racerl.config import compose_settings
+from racerl.documents import read_json
+from racerl.errors import ConfigError, LogError, RunError
+from racerl.gap.diagnose import gap, next_manoeuvre
+from racerl.gap.evidence import Evidence, contradictory
+from racerl.gap.growth import growth, places
+from racerl.gap.locate import _test
+from racerl.gap.plan import plan, telling
+from racerl.gap.prove import explained
+from racerl.gap.score import Score
+from racerl.gap.stage import stages
+from racerl.gap.verdict import Verdict, equals
+from racerl.report.gap_page import draw_gap
+from racerl.vehicle import catalogue
+from racerl.vehicle.load import load_vehicle
+
+needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler on this machine")
+KNOWN = ("yaw_damping", "aero_drag", "command_timestamp_offset", "pose_latency", "lateral_load_sensitivity")
+FIELDS = {"verdict", "effects", "ambiguous_with", "next_manoeuvre", "ranking", "where", "gap"}  # of the contract
+
+
+def settings_for(log, folder, *names, **changes):
+    """Return the settings of a diagnosis that knows some effects only."""
+    path = folder / f"{log.name}.parquet"
+    log.table.to_parquet(path, index=False)
+    without = [name for name in catalogue.names() if name not in names]
+    return {**compose_settings("gap", [f"logs=['{path}']", "vehicle=published"]), "without": without, **changes}
+
+
+@pytest.fixture(scope="session")
+def diagnosis(damped, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("gap")
+    settings = settings_for(damped, folder, *KNOWN)
+    heard = []
+    facts = gap(settings, folder / "out", lambda what, share: heard.append((what, share)))
+    return SimpleNamespace(facts=facts, out=folder / "out", settings=settings, heard=heard)
+
+
+@needs_compiler
+def test_the_hidden_effect_is_named_with_its_interval_and_the_gap_closes(diagnosis):
+    facts = diagnosis.facts
+    assert set(facts) >= FIELDS and facts == read_json(diagnosis.out / "verdict.json")
+    assert facts["verdict"] == "named" and not facts["ambiguous_with"] and not facts["next_manoeuvre"]
+    (effect,) = facts["effects"]
+    coefficient = effect["parameters"]["coefficient"]
+    low, high = coefficient["ci95"]
+    assert effect["name"] == "yaw_damping" and coefficient["unit"] == "N m s"
+    assert coefficient["value"] == pytest.approx(0.15, rel=0.05) and 0.0 < low < high < low + 0.03
+    assert facts["ranking"][0]["name"] == "yaw_damping" and facts["ranking"][0]["p"] < 0.01
+    assert facts["gap"]["unfitted"] > facts["gap"]["before"] > 1.1 > facts["gap"]["after"] > 0.9
+    low, high = facts["gap"]["ci95"]
+    assert 0.8 < low <= facts["gap"]["explained"] <= high <= 1.0
+    channels = facts["gap"]["by_channel"]
+    assert set(channels) == {"delta", "omega", "x", "y", "yaw"} and not facts["worse"]
+    assert channels["yaw"]["after"] < 0.8 * channels["yaw"]["before"]
+    assert {clue["stage"] for clue in facts["where"]} <= {"chassis"}
+    shares = [share for _, share in diagnosis.heard]
+    assert shares == sorted(shares) and shares[0] >= 0.0 and shares[-1] < 1.0
+
+
+@needs_compiler
+def test_the_vehicle_file_holds_the_effect_and_is_one_that_every_command_takes(diagnosis):
+    car = load_vehicle({"file": str(diagnosis.out / "model.yaml")})
+    assert set(car.effects) == {"yaw_damping"}
+    assert float(car.effects["yaw_damping"].coefficient) == pytest.approx(0.15, rel=0.1)
+    assert float(car.yaw_inertia) == pytest.approx(
+        float(load_vehicle(diagnosis.settings["vehicle"]).yaw_inertia), rel=0.05
+    )
+
+
+@needs_compiler
+def test_the_page_shows_verdict_and_pictures(diagnosis):
+    page = draw_gap(diagnosis.out).read_text()
+    assert "yaw_damping" in page and page.count("data:image/svg+xml") in (2, 3)
+    with pytest.raises(RunError, match="choose another out="):
+        gap(diagnosis.settings, diagnosis.out)
+
+
+@needs_compiler
+def test_an_interrupted_run_goes_on_with_the_steps_that_are_there(diagnosis, tmp_path):
+    shutil.copytree(diagnosis.out, tmp_path / "out")
+    manifest = read_json(tmp_path / "out" / "manifest.json")
+    (tmp_path / "out" / "manifest.json").write_text(
+        str({**manifest, "status": "running"}).replace("'", '"').replace("None", "null")
+    )
+    (tmp_path / "out" / "verdict.json").unlink()
+    kept = (tmp_path / "out" / "locate.json").stat().st_mtime_ns
+    again = gap(diagnosis.settings, tmp_path / "out")
+    assert again == diagnosis.facts and (tmp_path / "out" / "locate.json").stat().st_mtime_ns == kept
+
+
+@needs_compiler
+def test_what_no_known_effect_explains_is_called_unknown_and_gets_no_name(damped, tmp_path):
+    facts = gap(settings_for(damped, tmp_path, "aero_drag", "lateral_load_sensitivity"), tmp_path / "out")
+    assert facts["verdict"] == "unknown" and facts["effects"] == []
+    assert not load_vehicle({"file": str(tmp_path / "out" / "model.yaml")}).effects
+
+
+@needs_compiler
+def test_what_cannot_be_told_apart_is_called_ambiguous(clean, tmp_path):
+    motion, table = ["x", "y", "yaw", "v_x", "v_y", "yaw_rate"], clean.table.copy()
+    table[motion] = table.groupby("run")[motion].shift(4)  # 0.04 s late
+    late = dataclasses.replace(clean, name="late", table=table.dropna().reset_index(drop=True))
+    facts = gap(settings_for(late, tmp_path, *KNOWN), tmp_path / "out")
+    assert facts["verdict"] == "ambiguous", facts["reason"]
+    assert {facts["effects"][0]["name"], *facts["ambiguous_with"]} == {"pose_latency", "command_timestamp_offset"}
+    (latency,) = facts["effects"][0]["parameters"].values()
+    assert abs(latency["value"]) == pytest.approx(0.04, abs=0.002)
+    assert "step steers" in facts["next_manoeuvre"]
+
+
+@needs_compiler
+def test_a_clean_log_gets_no_name(clean, tmp_path):
+    facts = gap(settings_for(clean, tmp_path, *KNOWN), tmp_path / "out")
+    assert facts["verdict"] in ("none", "under_excited") and facts["effects"] == [] and not facts["worse"]
+    assert facts["gap"]["before"] == pytest.approx(1.0, abs=0.15) and facts["gap"]["explained"] < 0.5
+
+
+def test_a_log_without_driving_gives_no_guess(clean, tmp_path):
+    still = clean.table.assign(v_x=0.0, omega=0.0, delta=0.0, x=1.0, y=1.0, yaw=0.0)
+    parked = dataclasses.replace(clean, name="parked", table=still[still["t"] - still["t"].min() < 10.0])
+    facts = gap(settings_for(parked, tmp_path), tmp_path / "out")
+    assert facts["verdict"] == "under_excited" and facts["effects"] == [] and "circles" in facts["next_manoeuvre"]
+    assert load_vehicle({"file": str(tmp_path / "out" / "model.yaml")}).effects == {}
+    assert "under excited" in draw_gap(tmp_path / "out").read_text()
+    with pytest.raises(LogError, match="no stretch of driving"):
+        plan(settings_for(parked, tmp_path), tmp_path / "plan")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"window": 5}, "window = 5"),
+        ({"folds": True}, "folds = True"),
+        ({"slowest": -1.0}, "slowest"),
+        ({"without": ["steering_dely"]}, "did you mean steering_delay"),
+    ],
+)
+def test_settings_out_of_range_are_refused_before_anything_is_written(clean, tmp_path, changes, message):
+    with pytest.raises(ConfigError, match=message):
+        gap(settings_for(clean, tmp_path, **changes), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_where_an_actuator_was_not_measured_its_command_drives():
+    everything = {"delta", "omega", "delta_ref", "omega_ref", "v_x"}
+    assert stages(everything)[2].inputs == ("delta", "omega")
+    assert stages(everything - {"delta"})[2].inputs == ("delta_ref", "omega")
+    assert stages(everything - {"omega"})[2].inputs == ("delta", "omega_ref")
+
+
+def test_velocities_that_lag_their_poses_stand_alone(clean):
+    generator, table = np.random.default_rng(0), clean.table.copy()
+    for name in ("v_x", "v_y", "yaw_rate"):
+        table[name] += 0.01 * generator.standard_normal(len(table))
+    measured = dataclasses.replace(clean, table=table)
+    late = table.copy()
+    for name in ("v_x", "v_y", "yaw_rate"):
+        late[name] = late.groupby("run")[name].shift(7).fillna(0.0)
+    lagging = dataclasses.replace(clean, table=late)
+    assert contradictory([lagging]) and not contradictory([measured])
+    chassis = stages(clean.channels)[2]
+    assert Evidence.of([lagging], chassis, 40, 0.5).observed == ("v_x", "v_y", "yaw_rate")
+
+
+def test_noise_alone_does_not_grow():
+    errors = np.random.default_rng(0).standard_normal((86, 2, 2000)) * np.array([[0.1], [3.0]])
+    assert growth(errors, np.array([0.1, 3.0])).mean(axis=0) == pytest.approx([1.0, 1.0], rel=0.03)
+
+
+def test_a_map_is_clear_only_where_power_follows_the_condition():
+    generator = np.random.default_rng(0)
+    shifts = generator.integers(1200, size=400)
+    bins = np.repeat(np.arange(6), 200)
+    chances = []
+    for _ in range(40):
+        chances.append(_test(generator.chisquare(1, 1200), generator.permutation(bins), shifts)[1])
+    assert 0.2 < np.mean(chances) < 0.8 and min(chances) > 0.001
+    level, p = _test(generator.chisquare(1, 1200) * (1.0 + (bins == 4)), bins, shifts)
+    assert p < 0.01 and int(np.argmax(level)) == 4
+
+
+def test_places_are_where_errors_grow(clean):
+    evidence = Evidence.of([clean], stages(clean.channels)[2], 85, 0.5)
+    errors = 0.01 * np.random.default_rng(0).standard_normal((86, 3, len(evidence.start)))
+    middle = evidence.start[len(evidence.start) // 2] + 42
+    x, y = (evidence.columns[axis][middle] for axis in ("x", "y"))
+    rows = evidence.start + np.arange(86)[:, None]
+    near = np.hypot(evidence.columns["x"][rows] - x, evidence.columns["y"][rows] - y) < 1.0
+    errors[:, 2] += 0.2 * np.cumsum(near, axis=0) / 10.0
+    ((a, b),) = places(evidence, errors, np.full(3, 0.01), 1.5, 1)
+    assert np.hypot(a - x, b - y) < 1.0
+
+
+def test_rivals_explain_as_much_for_their_parameters():
+    def row(name, behind, share, size, clear=True):
+        return SimpleNamespace(name=name, behind=behind, explained=share, size=size, clear=clear)
+
+    best = row("best", 0.0, 0.95, 1)
+    others = [
+        row("equal", 1.0, 0.94, 1),
+        row("far", 9.0, 0.94, 1),
+        row("faint", 1.0, 0.94, 1, clear=False),
+        row("less", 1.0, 0.80, 1),
+        row("larger", 1.0, 0.955, 3),
+    ]
+    assert equals([best, *others]) == ["equal"]
+
+
+def test_the_share_explained_stays_inside_its_bounds():
+    assert explained(10.0, 4.0, 2.0) == pytest.approx(0.75)
+    assert explained(10.0, 1.0, 2.0) == 1.0 and explained(10.0, 12.0, 2.0) == 0.0 and explained(2.0, 1.0, 2.0) == 0.0
+
+
+def test_a_plan_asks_for_what_is_dark_and_for_what_looks_alike():
+    names = ["aero_drag", "viscous_drag", "friction_fade", "steering_delay"]
+    H = np.diag([900.0, 900.0, 1.0, 400.0])
+    H[0, 1] = H[1, 0] = 0.97 * 900.0
+    told = telling(Score(names, H, np.zeros(4)))
+    assert [row["effects"] for row in told["alike"]] == [["aero_drag", "viscous_drag"]]
+    assert [name for name, effect in told["effects"].items() if not effect["shows"]] == ["friction_fade"]
+    wanted = {name for row in told["next"] for name in row["for"]}
+    assert wanted == {"aero_drag", "viscous_drag", "friction_fade"}
+
+
+def test_the_next_manoeuvre_is_what_would_decide():
+    open_question = Verdict("ambiguous", ("steering_delay",), ("steering_second_order",), (), "")
+    assert "step" in next_manoeuvre(open_question)
+    assert next_manoeuvre(Verdict("named", ("steering_delay",), (), (), "")) == ""
