@@ -117,7 +117,7 @@ def test_gradients_of_a_stage_are_those_of_its_cost(clean, stage, effect, names)
 
     at, windows = parts(table)
     assert isinstance(windows, Windows)
-    g = problem.mixing().T @ at.g[:, : len(problem.rollout.names)].sum(axis=0)
+    g = problem.mixing.T @ at.g[:, : len(problem.rollout.names)].sum(axis=0)
     for name, got in zip(problem.names, g, strict=True):
         # a shift's slope is a smoothed one, and its own difference quotient spans half a sample
         step = 2e-3 if name.endswith("latency") else 1e-5 * max(1.0, abs(table[name]))
