@@ -339,6 +339,9 @@ def _print_verdict(console: Any, facts: dict[str, Any]) -> None:
             lines.append(f"  {effect['name']}.{name} = {p['value']:.4g} {p['unit']} ({interval})")
     if facts["ambiguous_with"]:
         lines.append(f"not to be told from: {', '.join(facts['ambiguous_with'])}")
+    if residual := facts["residual"]:
+        share = f"{residual['explained']:.0%} of the excess on held-out windows"
+        lines.append(f"offered instead: a learned residual, {residual['vehicle']}, which takes {share}")
     if facts["next_manoeuvre"]:
         lines.append(f"drive next: {facts['next_manoeuvre']}")
     if gap := facts["gap"]:

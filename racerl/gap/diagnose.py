@@ -14,12 +14,14 @@ from racerl.data.load import load_given
 from racerl.data.log import POSE, Log
 from racerl.documents import conf_folder, read_json, write_json, write_text
 from racerl.errors import ConfigError
+from racerl.gap import residual
 from racerl.gap.catalogue import starts
 from racerl.gap.evidence import Evidence, channels_of
 from racerl.gap.investigation import Found, Investigation
 from racerl.gap.locate import locate
 from racerl.gap.name import Decision, name_effects
 from racerl.gap.prove import prove
+from racerl.gap.residual import learn
 from racerl.gap.stage import stages
 from racerl.gap.verdict import Verdict, intervals, judge
 from racerl.identify.document import write_model
@@ -31,6 +33,7 @@ from racerl.vehicle.parameter import specifications
 from racerl.vehicle.vehicle import Vehicle
 
 LOCATE, NAME, PROOF, VERDICT, MODEL = "locate.json", "name.json", "prove.json", "verdict.json", "model.yaml"
+RESIDUAL, RESIDUAL_MODEL = "residual.json", "model_residual.yaml"
 FEWEST = 20  # windows of a stage, below which it is left out
 KNOWN = 0.05  # half width of an interval, as a share of the value, within which a parameter counts as identified
 PROGRAMME = (
@@ -148,8 +151,27 @@ def _steps(
         "gap": proof["gap"],
         "worse": proof["worse"],
         "blind_to": list(verdict.blind),
+        "residual": None,
     }
+    if verdict.kind == "unknown":
+        on_progress("learning a residual", 0.97)
+        facts["residual"] = _residual(investigation, decision, settings, folder)
     return facts, decision.found if facts["effects"] else investigation.base
+
+
+def _residual(
+    investigation: Investigation, decision: Decision, settings: Mapping[str, Any], folder: Path
+) -> dict[str, Any] | None:
+    """Write the vehicle with a learned residual if that helps; return what it explains."""
+    told, found = learn(
+        investigation.knowing({residual.NAME: [residual.limits(investigation)]}), decision, settings["seed"]
+    )
+    write_json(folder / RESIDUAL, told)
+    if not told["helps"]:
+        return None
+    logs = [{"name": name, "seconds": 0.0, "runs": 0} for name in _list(settings["logs"])]
+    _write_vehicle(folder / RESIDUAL_MODEL, settings, {"logs": logs}, investigation, found)
+    return {"name": residual.NAME, "explained": told["explained"], "vehicle": RESIDUAL_MODEL}
 
 
 def _once(path: Path, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
@@ -221,6 +243,7 @@ def _silent(logs: Sequence[Log]) -> dict[str, Any]:
         "gap": None,
         "worse": [],
         "blind_to": list(catalogue.names()),
+        "residual": None,
     }
 
 

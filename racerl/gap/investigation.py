@@ -4,6 +4,7 @@ Stages that no effect of a set touches keep the nominal fit, so that sets are co
 all windows rank; fits that leave folds of runs out decide.
 """
 
+import copy
 import functools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -83,8 +84,7 @@ class Investigation:
                 strict=True,
             )
         ]
-        free, any_size = [unknown.name for unknown in self.unknowns], {n: e[0] for n, e in catalogue.items()}
-        self.kernels = {name: StageKernels(each, vehicle, free, any_size) for name, each in self.evidence.items()}
+        self.kernels = self._kernels(catalogue)
         self.noise = {name: each.noise() for name, each in self.evidence.items()}
         self.sigma = dict(self.noise)
         self.base = self._nominal()
@@ -93,6 +93,16 @@ class Investigation:
             name: float(((errors / self.sigma[name][:, None]) ** 2).sum()) for name, errors in self.noise_errors.items()
         }
         self.folds = self._deal(folds)
+
+    def _kernels(self, catalogue: Mapping[str, Sequence[Effect]]) -> dict[str, StageKernels]:
+        free, any_size = [unknown.name for unknown in self.unknowns], {n: e[0] for n, e in catalogue.items()}
+        return {name: StageKernels(each, self.vehicle, free, any_size) for name, each in self.evidence.items()}
+
+    def knowing(self, catalogue: Mapping[str, Sequence[Effect]]) -> "Investigation":
+        """Return the same logs and refitted vehicle with another catalogue of effects."""
+        other = copy.copy(self)
+        other.catalogue, other.kernels = catalogue, self._kernels(catalogue)
+        return other
 
     def _nominal(self) -> Found:
         """Fit the vehicle without effects; weigh channels by their noise and a share of what is left over."""
@@ -170,6 +180,10 @@ class Investigation:
             if best is None or gain > best.gain:
                 best = Screened(name, found.vehicle, gain, max(gains, key=lambda s: gains[s]))
         return best
+
+    def with_effect(self, vehicle: Vehicle, name: str) -> Vehicle:
+        """Return a vehicle with an effect of the catalogue at its usual size."""
+        return replace(vehicle, effects={**vehicle.effects, name: self.catalogue[name][0]})
 
     def _likely(self, base: Found, name: str) -> list[Effect]:
         """Return the starts of an effect; one that lies somewhere starts where errors grow most."""
@@ -295,7 +309,8 @@ class Investigation:
 def _free(vehicle: Vehicle, effect: str) -> list[Unknown]:
     """Return an effect's parameters as unknowns, with wide priors."""
     table, known = values(vehicle), specifications(vehicle)
-    names = [name for name in table if name.startswith(f"effects.{effect}.")]
+    held = vehicle.effects[effect].known
+    names = [n for n in table if n.startswith(f"effects.{effect}.") and n.rpartition(".")[2] not in held]
     return [
         Unknown(
             name,

@@ -24,8 +24,8 @@ class Entry:
 
 
 def names() -> list[str]:
-    """Return the names of all effects, sorted."""
-    return registry.choices(effects)
+    """Return the names of all physical effects, sorted."""
+    return [name for name in registry.choices(effects) if registry.lookup(effects, name).physical]  # type: ignore[attr-defined]
 
 
 def entry(name: str) -> Entry:

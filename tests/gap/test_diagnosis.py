@@ -103,6 +103,11 @@ def test_what_no_known_effect_explains_is_called_unknown_and_gets_no_name(damped
     facts = gap(settings_for(damped, tmp_path, "aero_drag", "lateral_load_sensitivity"), tmp_path / "out")
     assert facts["verdict"] == "unknown" and facts["effects"] == []
     assert not load_vehicle({"file": str(tmp_path / "out" / "model.yaml")}).effects
+    # what is offered has no physical name, helps, and is a vehicle that every command takes
+    assert facts["residual"]["name"] == "learned_residual" and 0.4 < facts["residual"]["explained"] <= 1.0
+    car = load_vehicle({"file": str(tmp_path / "out" / "model_residual.yaml")})
+    assert set(car.effects) == {"learned_residual"}
+    assert "learned residual" in draw_gap(tmp_path / "out").read_text()
 
 
 @needs_compiler

@@ -1,5 +1,6 @@
 """What each effect does to the car, in numbers; and what the catalogue says of it."""
 
+import dataclasses
 import math
 import re
 
@@ -8,6 +9,7 @@ import torch
 
 from racerl.errors import ConfigError
 from racerl.vehicle import catalogue
+from racerl.vehicle.effects.learned_residual import LearnedResidual
 from racerl.vehicle.integrate import advance
 from racerl.vehicle.ops import TORCH
 from racerl.vehicle.vehicle import STATE, Vehicle
@@ -330,3 +332,22 @@ def test_an_effect_of_no_size_changes_nothing(name):
         state[8] = state[6]
     got, base = car.derivative(state, command, TORCH)[:8], plain.derivative(state[:8], command, TORCH)
     assert torch.allclose(got, base, rtol=1e-9, atol=1e-12)
+
+
+def test_a_learned_residual_is_bounded_fades_where_nothing_was_seen_and_has_no_place_in_the_catalogue():
+    assert "learned_residual" not in catalogue.names()
+    weights = {"about_turn": 30.0, "ahead_one": 30.0, "servo_lead": 30.0, "drive_speed": -30.0}
+    known, wild = LearnedResidual(), LearnedResidual(**weights)
+    plain = make_car("vehicle=published")
+    state, command = random_states(plain, 200)
+    base = plain.derivative(state, command, TORCH)
+    none = dataclasses.replace(plain, effects={"learned_residual": known}).derivative(state, command, TORCH)
+    assert torch.equal(none, base)
+    most = dataclasses.replace(plain, effects={"learned_residual": wild}).derivative(state, command, TORCH) - base
+    limits = {"v_x": 3.0, "yaw_rate": 30.0, "delta": 3.0, "omega": 20.0}
+    for name, limit in limits.items():
+        assert 0.5 * limit < float(most[ROW[name]].abs().max()) <= limit * (1.0 + 1e-9)
+    beyond = dataclasses.replace(wild, speed=0.1, steering=0.01, yaw_rate=0.1)
+    away = state[3].abs() > 0.5
+    faded = dataclasses.replace(plain, effects={"learned_residual": beyond}).derivative(state, command, TORCH) - base
+    assert float(faded[:, away].abs().max()) < 1e-3

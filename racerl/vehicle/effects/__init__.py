@@ -27,6 +27,8 @@ class Effect:
     states: ClassVar[tuple[str, ...]] = ()
     symmetric: ClassVar[bool] = True  # a mirrored drive stays possible
     uniform: ClassVar[bool] = True  # the same everywhere, in every direction and at all times
+    physical: ClassVar[bool] = True  # of the catalogue
+    known: ClassVar[tuple[str, ...]] = ()  # parameters that no fit changes
 
     def key(self, state: str) -> str:
         """Return the name under which this effect finds one of its own states in `own`."""
