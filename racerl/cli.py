@@ -184,12 +184,15 @@ def gap(
     verdict.json, model.yaml, which every command takes as vehicle=, and report.html.
 
     racerl gap plan drive.csv.gz only says which effects the log could tell apart, and what to drive next.
+    racerl gap close outputs/gap/first real=FILE trains and races with and without what was found.
     """
     words = [*(arguments or []), *([f"out={out}"] if out else [])]
-    task = _gap
-    if words[:1] == ["plan"]:
-        words, task = words[1:], _plan
-    _run("gap", words, task, positional="logs")
+    if words[:1] == ["close"]:
+        _run("close", words[1:], _close, positional="run")
+    elif words[:1] == ["plan"]:
+        _run("gap", words[1:], _plan, positional="logs")
+    else:
+        _run("gap", words, _gap, positional="logs")
 
 
 @app.command(context_settings=HYDRA)
@@ -311,6 +314,27 @@ def _gap(settings: "Settings", out: Path) -> None:
     _print_verdict(console, facts)
     for line in (f"vehicle in {out / MODEL}; drive it with: racerl train vehicle={out / MODEL}", f"report in {page}"):
         console.print(line, highlight=False, soft_wrap=True, markup=False)
+
+
+def _close(settings: "Settings", out: Path) -> None:
+    from rich.table import Table
+
+    from racerl.config import compose_settings
+    from racerl.console import Bar
+    from racerl.train.close import RESULT, close
+
+    console = _console()
+    with Bar(console, "close") as bar:
+        facts = close(settings, out, compose_settings, bar.show)
+    table = Table("policy", "mean lap [s]", "fastest [s]", "E_off [m s]", "crashes", "valid laps")
+    for kind, row in facts["policies"].items():
+        times = ["none" if row[k] is None else f"{row[k]:.3f}" for k in ("mean_lap_s", "fastest_valid_lap_s")]
+        valid = f"{row['valid_laps']} of {row['laps']}"
+        table.add_row(kind, *times, f"{row['e_off']:.5f}", f"{row['crash_share']:.0%}", valid)
+    console.print(table)
+    share = facts["recovered"]
+    gained = "the oracle gains nothing over the old policy" if share is None else f"{share:.0%} of the oracle's gain"
+    console.print(f"with {', '.join(facts['effects'])}: {gained}; numbers in {out / RESULT}", highlight=False)
 
 
 def _plan(settings: "Settings", out: Path) -> None:

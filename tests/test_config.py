@@ -35,6 +35,7 @@ def test_no_file_is_left_out():
         "data.yaml",
         "identify.yaml",
         "gap.yaml",
+        "close.yaml",
         "optimum.yaml",
         # composed below, each with its command
         *(

@@ -33,6 +33,7 @@ from racerl.vehicle.parameter import specifications
 from racerl.vehicle.vehicle import Vehicle
 
 LOCATE, NAME, PROOF, VERDICT, MODEL = "locate.json", "name.json", "prove.json", "verdict.json", "model.yaml"
+MODEL_BEFORE = "model_before.yaml"  # refitted, without the effects found
 RESIDUAL, RESIDUAL_MODEL = "residual.json", "model_residual.yaml"
 FEWEST = 20  # windows of a stage, below which it is left out
 KNOWN = 0.05  # half width of an interval, as a share of the value, within which a parameter counts as identified
@@ -73,6 +74,7 @@ def gap(settings: Mapping[str, Any], out: Path, on_progress: OnProgress = lambda
         facts, found = _steps(investigation, settings, folder.path, on_progress)
         facts |= told
         _write_vehicle(folder.path / MODEL, settings, facts, investigation, found)
+        _write_vehicle(folder.path / MODEL_BEFORE, settings, facts, investigation, investigation.base)
     write_json(folder.path / VERDICT, facts)
     folder.finish(seconds=round(time.perf_counter() - began, 2))
     return facts

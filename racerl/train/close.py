@@ -1,0 +1,71 @@
+"""`racerl gap close`: three policies race in the car that the log came from.
+
+`old` was trained on the refitted vehicle without the effects found, `new` with them, `oracle` on the car itself. Of the
+oracle's gain in lap time, naming the effect recovered the share (old − new)/(old − oracle).
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from racerl.documents import read_json, write_json
+from racerl.errors import ConfigError
+from racerl.evaluate.evaluate import METRICS, evaluate
+from racerl.gap.diagnose import MODEL, MODEL_BEFORE, VERDICT
+from racerl.run import MANIFEST, RunFolder
+from racerl.train.train import train
+
+RESULT = "close.json"
+SHOWN = ("mean_lap_s", "fastest_valid_lap_s", "e_off", "crash_share", "laps", "valid_laps")
+Compose = Callable[[str, Sequence[str]], dict[str, Any]]
+
+
+def close(
+    settings: Mapping[str, Any],
+    out: Path,
+    compose: Compose,
+    on_progress: Callable[[float, str], None] = lambda share, what: None,
+) -> dict[str, Any]:
+    """Train and race the three policies; return what was written to close.json.
+
+    Raises RunError for a run that is no finished diagnosis, ConfigError where it named nothing to add.
+    """
+    found = RunFolder.open_complete(Path(settings["run"]), "gap")
+    verdict = read_json(found.path / VERDICT)
+    if not verdict["effects"]:
+        raise ConfigError(
+            f"run = {settings['run']}: its verdict is {verdict['verdict']}, there is no effect to train with"
+        )
+    cars = {"old": found.path / MODEL_BEFORE, "new": found.path / MODEL, "oracle": settings["real"]}
+    words = [str(word) for word in settings["train"]]
+    folder = RunFolder.start(out, "close", settings, threads=settings["threads"])
+    rows = {}
+    for i, (kind, car) in enumerate(cars.items()):
+        on_progress(i / 3, f"{kind}: training")
+        trained, raced = folder.path / kind, folder.path / f"{kind}_race"
+        if not _complete(trained):
+            train(compose("train", [f"vehicle={car}", *words, f"threads={settings['threads']}"]), trained)
+        on_progress((i + 0.7) / 3, f"{kind}: racing")
+        if not _complete(raced):
+            race = [f"run={trained}", f"vehicle={settings['real']}", f"laps={settings['laps']}"]
+            evaluate(compose("evaluate", [*race, f"seeds={list(settings['seeds'])}"]), raced)
+        rows[kind] = {key: read_json(raced / METRICS)[key] for key in SHOWN}
+    facts = {
+        "effects": [effect["name"] for effect in verdict["effects"]],
+        "policies": rows,
+        "recovered": recovered(*(rows[kind]["mean_lap_s"] for kind in cars)),
+    }
+    write_json(folder.path / RESULT, facts)
+    folder.finish()
+    return facts
+
+
+def _complete(folder: Path) -> bool:
+    return (folder / MANIFEST).is_file() and read_json(folder / MANIFEST).get("status") == "complete"
+
+
+def recovered(old: float | None, new: float | None, oracle: float | None) -> float | None:
+    """Return the share of the oracle's gain; None where a policy has no valid lap, or the oracle gains nothing."""
+    if old is None or new is None or oracle is None or old <= oracle:
+        return None
+    return (old - new) / (old - oracle)

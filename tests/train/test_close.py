@@ -1,0 +1,57 @@
+"""Three policies are trained and raced in the car that the log came from."""
+
+import json
+
+import pytest
+
+from racerl.config import compose_settings
+from racerl.documents import write_json
+from racerl.errors import ConfigError, RunError
+from racerl.run import RunFolder
+from racerl.train.close import close, recovered
+
+
+@pytest.fixture
+def diagnosed(tmp_path):
+    """Return a finished diagnosis that named more friction, whose vehicle files are small changes of one car."""
+    folder = RunFolder.start(tmp_path / "gap", "gap", {})
+    published = compose_settings("train", ["vehicle=published"])["vehicle"]
+    for name, mass in (("model.yaml", 5.1), ("model_before.yaml", 5.0)):
+        (folder.path / name).write_text(json.dumps({**published, "mass": mass}))  # JSON is YAML
+    write_json(folder.path / "verdict.json", {"verdict": "named", "effects": [{"name": "aero_drag"}]})
+    folder.finish()
+    return folder.path
+
+
+def settings_of(run, **changes):
+    words = [f"run={run}", "real=published", "train=['budget=smoke']", "laps=1", "seeds=[0]", "threads=1"]
+    return {**compose_settings("close", words), **changes}
+
+
+def test_three_policies_race_in_one_car_and_a_second_start_goes_on(diagnosed, tmp_path):
+    heard = []
+    facts = close(settings_of(diagnosed), tmp_path / "out", compose_settings, lambda share, what: heard.append(what))
+    assert list(facts["policies"]) == ["old", "new", "oracle"] and facts["effects"] == ["aero_drag"]
+    assert json.loads((tmp_path / "out" / "close.json").read_text()) == facts
+    assert heard == [f"{kind}: {what}" for kind in ("old", "new", "oracle") for what in ("training", "racing")]
+    masses = {}
+    for kind in facts["policies"]:
+        trained = RunFolder.open_complete(tmp_path / "out" / kind, "train").settings()["vehicle"]
+        raced = RunFolder.open_complete(tmp_path / "out" / f"{kind}_race", "evaluate").settings()["vehicle"]
+        masses[kind] = trained.get("file", trained.get("mass")), raced["mass"]
+    assert {raced for _, raced in masses.values()} == {5.1} and masses["oracle"][0] == 5.1
+    assert str(masses["old"][0]).endswith("model_before.yaml") or masses["old"][0] == 5.0
+    with pytest.raises(RunError, match="already holds"):
+        close(settings_of(diagnosed), tmp_path / "out", compose_settings)
+
+
+def test_without_an_effect_there_is_nothing_to_train_with(diagnosed, tmp_path):
+    write_json(diagnosed / "verdict.json", {"verdict": "none", "effects": []})
+    with pytest.raises(ConfigError, match="verdict is none"):
+        close(settings_of(diagnosed), tmp_path / "out", compose_settings)
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_share_of_the_oracles_gain():
+    assert recovered(6.0, 5.6, 5.5) == pytest.approx(0.8)
+    assert recovered(6.0, None, 5.5) is None and recovered(5.5, 5.5, 5.6) is None
