@@ -19,6 +19,7 @@ from racerl.gap.score import Score
 
 REAL = 0.05  # excess cost over the noise's that is real: the noise itself is known to a few percent
 LEFT = 0.25  # share of the first excess that may stay behind when the name is right
+CREDIBLE = 0.6  # share of the excess that a name must explain
 COARSE = 30.0  # excess over the noise's cost, beyond which noise is no yardstick: a real car, smoothed sensors
 ALIKE = 3.0  # standard errors that a rival may be behind
 EQUAL = 0.05  # share of the excess that a rival may explain less
@@ -55,6 +56,10 @@ def judge(investigation: Investigation, decision: Decision, score: Score) -> Ver
         reason = f"{' and '.join(effects)} helps, but leaves {left / first:.0%} of the excess in the {stage} stage"
         return Verdict("unknown", effects, (), blind, reason)
     total, rest = decision.excess[0], decision.excess[-1]
+    coarse = rest > COARSE * sum(investigation.floor.values())
+    if not coarse and 1.0 - rest / total < CREDIBLE:
+        reason = f"{' and '.join(effects)} helps, but explains only {1.0 - rest / total:.0%} of a small excess"
+        return Verdict("under_excited", (), (), blind, reason)
     explained = f"{' and '.join(effects)} explains {1.0 - rest / total:.0%} of the excess"
     if rivals:
         return Verdict("ambiguous", effects, rivals, blind, f"{explained}, and so does {' or '.join(rivals)}")

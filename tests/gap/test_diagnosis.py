@@ -18,7 +18,7 @@ from racerl.gap.plan import plan, telling
 from racerl.gap.prove import explained
 from racerl.gap.score import Score
 from racerl.gap.stage import stages
-from racerl.gap.verdict import Verdict, equals
+from racerl.gap.verdict import Verdict, equals, judge
 from racerl.report.gap_page import draw_gap
 from racerl.vehicle import catalogue
 from racerl.vehicle.load import load_vehicle
@@ -241,3 +241,25 @@ def test_the_next_manoeuvre_is_what_would_decide():
     open_question = Verdict("ambiguous", ("steering_delay",), ("steering_second_order",), (), "")
     assert "step" in next_manoeuvre(open_question)
     assert next_manoeuvre(Verdict("named", ("steering_delay",), (), (), "")) == ""
+
+
+@pytest.mark.parametrize(
+    ("chosen", "excess", "kind"),
+    [
+        (["aero_drag"], [1000.0, 20.0], "named"),
+        (
+            ["aero_drag"],
+            [1000.0, 540.0],
+            "under_excited",
+        ),  # helps, but the little that is there is mostly something else
+        (["aero_drag"], [9e6, 5e6], "named"),  # a real car: noise is no yardstick
+        ([], [100.0], "none"),
+    ],
+)
+def test_a_name_must_explain_most_of_a_small_excess(monkeypatch, chosen, excess, kind):
+    monkeypatch.setattr("racerl.gap.verdict.open_stage", lambda *_: ("", 0.0, 0.0))
+    investigation = SimpleNamespace(floor={"chassis": 1e5})
+    decision = SimpleNamespace(chosen=chosen, excess=excess, rounds=[])
+    score = Score(["aero_drag", "downforce"], np.diag([900.0, 900.0]), np.zeros(2))
+    verdict = judge(investigation, decision, score)
+    assert verdict.kind == kind and verdict.effects == (() if kind in ("under_excited", "none") else ("aero_drag",))
