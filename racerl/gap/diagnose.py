@@ -41,10 +41,12 @@ PROGRAMME = (
     "ten runs or more with step steers of three sizes, slow ramps to full lock, circles of two radii at two speeds "
     "both ways round, speed steps up and down, and coast-downs, at up to the tyres' limit"
 )
+CLAIMS = ("named", "multiple", "ambiguous")
 OnProgress = Callable[[str, float], None]
 
 
-def gap(settings: Mapping[str, Any], out: Path, on_progress: OnProgress = lambda what, share: None) -> dict[str, Any]:
+def gap(settings: Mapping[str, Any], out: Path, on_progress: CLAIMS = ("named", "multiple", "ambiguous")
+OnProgress = lambda what, share: None) -> dict[str, Any]:
     """Diagnose the logs of `settings` and write the verdict, the vehicle and each step's findings into `out`.
 
     Raises ConfigError, VehicleError, LogError or RunError; a log that cannot tell gives a verdict, not an error.
@@ -144,8 +146,8 @@ def _steps(
     facts = {
         "verdict": verdict.kind,
         "reason": verdict.reason,
-        "effects": named["effects"] if verdict.kind != "unknown" else [],
-        "helped": named["effects"] if verdict.kind == "unknown" else [],
+        "effects": named["effects"] if verdict.kind in CLAIMS else [],
+        "helped": named["effects"] if verdict.kind not in CLAIMS else [],
         "ambiguous_with": list(verdict.rivals),
         "next_manoeuvre": next_manoeuvre(verdict),
         "ranking": named["ranking"],
