@@ -45,8 +45,7 @@ CLAIMS = ("named", "multiple", "ambiguous")
 OnProgress = Callable[[str, float], None]
 
 
-def gap(settings: Mapping[str, Any], out: Path, on_progress: CLAIMS = ("named", "multiple", "ambiguous")
-OnProgress = lambda what, share: None) -> dict[str, Any]:
+def gap(settings: Mapping[str, Any], out: Path, on_progress: OnProgress = lambda what, share: None) -> dict[str, Any]:
     """Diagnose the logs of `settings` and write the verdict, the vehicle and each step's findings into `out`.
 
     Raises ConfigError, VehicleError, LogError or RunError; a log that cannot tell gives a verdict, not an error.
