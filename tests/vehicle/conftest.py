@@ -5,13 +5,12 @@ from typing import Any
 import pytest
 import torch
 
-from racerl import registry
 from racerl.assemble import build_vehicle
 from racerl.config import compose_settings
-from racerl.vehicle import effects
+from racerl.vehicle import catalogue
 from racerl.vehicle.vehicle import Vehicle
 
-EFFECTS = registry.choices(effects)
+EFFECTS = catalogue.names()
 ALL = f"+vehicle/effect=[{','.join(EFFECTS)}]"
 DRIVES = ["sim=default", "sim=no_actuators", "sim=motor_current"]
 
