@@ -79,7 +79,8 @@ def test_normal_equations_are_the_residuals_derivatives(built_car):
     J, e = np.stack(columns), residual(theta, windows.initial)
     got = rollout.accumulate(theta, windows)
     H, g = np.einsum("itcw,jtcw->wij", J, J), np.einsum("itcw,tcw->wi", J, e)
-    scale = np.sqrt(np.einsum("wii->wi", H)) + 1e-6
+    # a state that is forgotten at once (the play behind a stiff linkage) moves the residual less than round-off does
+    scale = np.sqrt(np.einsum("wii->wi", H)) + 1e-4
     assert np.abs((got.H - H) / (scale[:, :, None] * scale[:, None, :])).max() < 1e-4
     assert np.abs((got.g - g) / scale).max() < 1e-4 * np.sqrt((e**2).sum())
     assert np.allclose(got.squares, (e**2).sum(axis=0).T, rtol=1e-12)
