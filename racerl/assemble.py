@@ -5,6 +5,7 @@ from typing import Any
 
 import torch
 
+from racerl import bounds
 from racerl.documents import conf_folder as conf_folder
 from racerl.env.actions import Action, create_action
 from racerl.env.observations import create_observation
@@ -44,9 +45,7 @@ def check_settings(settings: Settings) -> None:
 
 def use_threads(threads: Any) -> None:
     """Let torch compute with this many threads; raise ConfigError when it is no sensible number."""
-    if isinstance(threads, bool) or not isinstance(threads, int) or not 1 <= threads <= 256:
-        raise ConfigError(f"threads = {threads}: allowed is a whole number, 1 … 256")
-    torch.set_num_threads(threads)
+    torch.set_num_threads(bounds.whole("threads", threads, 1, 256))
 
 
 def build_vehicle(settings: Settings) -> Vehicle:

@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from racerl import bounds
 from racerl.data.log import CHANNELS
 from racerl.errors import ConfigError, suggest
 from racerl.registry import construct
@@ -119,8 +120,8 @@ def read_layout(settings: Mapping[str, Any]) -> Layout:
         "vehicle": lambda s: _car(construct(Car, _mapping("data.vehicle", s), "data.vehicle")),
         "shift": _shift,
         "require": _require,
-        "resample": lambda value: _number("data.resample", value, 2.0, 10_000.0, "Hz, or null"),
-        "gap": lambda value: _number("data.gap", value, 1e-3, 10.0, "s"),
+        "resample": lambda value: bounds.number("data.resample", value, 2.0, 10_000.0, "Hz, or null"),
+        "gap": lambda value: bounds.number("data.gap", value, 1e-3, 10.0, "s"),
         "run": lambda value: _text("data.run", value),
         "velocities": _velocities,
     }
@@ -156,9 +157,9 @@ def _source(channel: str, where: str, entry: Any) -> Source:
         raise ConfigError(f"{where}: give a column (of a table) or a topic (of a bag), one of them")
     if not isinstance(source.hold, bool):
         raise ConfigError(f"{where}.hold = {source.hold}: allowed is true or false")
-    if _number(f"{where}.scale", source.scale, -1e9, 1e9, CHANNELS[channel].unit) == 0.0:
+    if bounds.number(f"{where}.scale", source.scale, -1e9, 1e9, CHANNELS[channel].unit) == 0.0:
         raise ConfigError(f"{where}.scale = 0: would wipe the channel out; give another factor")
-    _number(f"{where}.offset", source.offset, -1e9, 1e9, CHANNELS[channel].unit)
+    bounds.number(f"{where}.offset", source.offset, -1e9, 1e9, CHANNELS[channel].unit)
     return source
 
 
@@ -166,7 +167,7 @@ def _points(where: str, entry: Any) -> tuple[tuple[float, float], ...]:
     pairs = [tuple(pair) if isinstance(pair, list | tuple) else (pair,) for pair in _sequence(where, entry)]
     if any(len(pair) != 2 for pair in pairs):
         raise ConfigError(f"{where}: holds something else than pairs; write [[raw, value], [raw, value]]")
-    points = tuple((_number(where, a, -1e9, 1e9, ""), _number(where, b, -1e9, 1e9, "")) for a, b in pairs)
+    points = tuple((bounds.number(where, a, -1e9, 1e9, ""), bounds.number(where, b, -1e9, 1e9, "")) for a, b in pairs)
     if points and (len(points) < 2 or any(b[0] <= a[0] for a, b in itertools.pairwise(points))):
         raise ConfigError(f"{where}: {len(points)} points; at least two with increasing raw values are needed")
     return points
@@ -174,16 +175,16 @@ def _points(where: str, entry: Any) -> tuple[tuple[float, float], ...]:
 
 def _time(time: Time) -> Time:
     _text("data.time.column", time.column)
-    _number("data.time.scale", time.scale, 1e-12, 1e6, "s")
+    bounds.number("data.time.scale", time.scale, 1e-12, 1e6, "s")
     if time.stamp not in STAMPS:
         raise ConfigError(f"data.time.stamp = {time.stamp}{suggest(str(time.stamp), STAMPS)}")
     return time
 
 
 def _frame(frame: Frame) -> Frame:
-    _number("data.frame.forward", frame.forward, -10.0, 10.0, "m")
-    _number("data.frame.left", frame.left, -10.0, 10.0, "m")
-    _number("data.frame.yaw", frame.yaw, -math.pi, math.pi, "rad")
+    bounds.number("data.frame.forward", frame.forward, -10.0, 10.0, "m")
+    bounds.number("data.frame.left", frame.left, -10.0, 10.0, "m")
+    bounds.number("data.frame.yaw", frame.yaw, -math.pi, math.pi, "rad")
     return frame
 
 
@@ -195,15 +196,14 @@ def _velocities(value: Any) -> str:
 
 def _savgol(savgol: Savgol) -> Savgol:
     window, order = savgol.window, savgol.order
-    if isinstance(order, bool) or not isinstance(order, int) or not 1 <= order <= 7:
-        raise ConfigError(f"data.savgol.order = {order}: allowed is a whole number, 1 … 7")
+    bounds.whole("data.savgol.order", order, 1, 7)
     if isinstance(window, bool) or not isinstance(window, int) or window % 2 == 0 or not order < window <= 1001:
         raise ConfigError(f"data.savgol.window = {window}: allowed is an odd number of samples above the order {order}")
     return savgol
 
 
 def _car(car: Car) -> Car:
-    _number("data.vehicle.wheelbase", car.wheelbase, 0.05, 10.0, "m")
+    bounds.number("data.vehicle.wheelbase", car.wheelbase, 0.05, 10.0, "m")
     return car
 
 
@@ -212,12 +212,12 @@ def _shift(settings: Any) -> dict[str, float]:
     for name in shifts:
         if name not in CHANNELS:
             raise ConfigError(f"data.shift has no channel '{name}'{suggest(str(name), CHANNELS)}")
-    return {name: _number(f"data.shift.{name}", value, -10.0, 10.0, "s") for name, value in shifts.items()}
+    return {name: bounds.number(f"data.shift.{name}", value, -10.0, 10.0, "s") for name, value in shifts.items()}
 
 
 def _require(settings: Any) -> dict[str, float]:
     columns = _mapping("data.require", settings)
-    return {str(name): _number(f"data.require.{name}", value, -1e12, 1e12, "") for name, value in columns.items()}
+    return {str(name): bounds.number(f"data.require.{name}", value, -1e12, 1e12, "") for name, value in columns.items()}
 
 
 def _mapping(where: str, value: Any) -> Mapping[str, Any]:
@@ -236,9 +236,3 @@ def _text(where: str, value: Any) -> str:
     if not isinstance(value, str) or not value:
         raise ConfigError(f"{where} = {value}: a column's name is expected; put it in quotes")
     return value
-
-
-def _number(where: str, value: Any, low: float, high: float, unit: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-        raise ConfigError(f"{where} = {value}: allowed is a number, {low:g} … {high:g} {unit}".rstrip())
-    return float(value)

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 import torch
 
+from racerl import bounds
 from racerl.assemble import build_race, check_settings, choose_device, use_threads
 from racerl.control.policy import load_policy
 from racerl.documents import write_bytes, write_json, write_text
@@ -37,9 +38,7 @@ def evaluate(
 ) -> dict[str, Any]:
     """Evaluate the policy of `settings["run"]`; return the metrics that were written into `out`."""
     trained = RunFolder.open_complete(Path(settings["run"]), "train")
-    seeds, laps = _seeds(settings["seeds"]), settings["laps"]
-    if isinstance(laps, bool) or not isinstance(laps, int) or not 1 <= laps <= 10_000:
-        raise ConfigError(f"laps = {laps}: allowed is a whole number, 1 … 10000")
+    seeds, laps = _seeds(settings["seeds"]), bounds.whole("laps", settings["laps"], 1, 10_000)
     use_threads(settings["threads"])
     trained_settings = trained.settings()
     check_settings(trained_settings)

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import yaml
 
+from racerl import bounds
 from racerl.data.inspect import inspect
 from racerl.data.load import load_given
 from racerl.data.log import POSE, Log
 from racerl.documents import conf_folder, read_json, write_json, write_text
-from racerl.errors import ConfigError
 from racerl.gap import residual
 from racerl.gap.catalogue import starts
 from racerl.gap.evidence import Evidence, channels_of
@@ -85,12 +85,8 @@ def check(settings: Mapping[str, Any]) -> None:
     """Raise ConfigError for settings of the wrong kind or out of range."""
     whole = {"window": (20, 1000), "folds": (2, 20), "seed": (0, 2**31), "threads": (1, 256)}
     for key, (low, high) in whole.items():
-        value = settings[key]
-        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-            raise ConfigError(f"{key} = {value}: allowed is a whole number, {low} … {high}")
-    slowest = settings["slowest"]
-    if isinstance(slowest, bool) or not isinstance(slowest, (int, float)) or not 0.0 <= slowest <= 50.0:
-        raise ConfigError(f"slowest = {slowest}: allowed is 0 … 50 m/s")
+        bounds.whole(key, settings[key], low, high)
+    bounds.number("slowest", settings["slowest"], 0.0, 50.0, "m/s")
     for name in _list(settings["without"]):
         catalogue.entry(name)
 

@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from racerl import bounds
 from racerl.assemble import use_threads
 from racerl.data.inspect import compare, inspect
 from racerl.data.load import load_given
@@ -108,19 +109,15 @@ def check(settings: Mapping[str, Any]) -> None:
     """Raise ConfigError for settings of the wrong kind or out of range."""
     whole = {"window": (2, 10_000), "starts": (1, 100), "folds": (0, 100), "seed": (0, 2**31)}
     for key, (low, high) in whole.items():
-        value = settings[key]
-        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-            raise ConfigError(f"{key} = {value}: allowed is a whole number, {low} … {high}")
+        bounds.whole(key, settings[key], low, high)
     if settings["folds"] == 1:
         raise ConfigError("folds = 1: allowed is 0 (nothing is held out) or 2 … 100")
     if settings["inputs"] not in INPUTS:
         raise ConfigError(f"inputs = {settings['inputs']}: allowed is {', '.join(INPUTS)}")
     if not isinstance(settings["fit"], bool):
         raise ConfigError(f"fit = {settings['fit']}: allowed is true or false")
-    for key, (lowest, highest, unit) in {"slowest": (0.0, 50.0, "m/s"), "step": (1e-4, 0.1, "s")}.items():
-        number = settings[key]
-        if isinstance(number, bool) or not isinstance(number, (int, float)) or not lowest <= number <= highest:
-            raise ConfigError(f"{key} = {number}: allowed is {lowest:g} … {highest:g} {unit}")
+    bounds.number("slowest", settings["slowest"], 0.0, 50.0, "m/s")
+    bounds.number("step", settings["step"], 1e-4, 0.1, "s")
     for key in ("priors", "weights"):
         if not isinstance(settings[key], Mapping):
             raise ConfigError(f"{key} = {settings[key]}: a mapping is expected, for instance {key}={{}}")

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from racerl import bounds
 from racerl.errors import ConfigError, suggest
 from racerl.vehicle.parameter import specifications, values
 from racerl.vehicle.vehicle import Vehicle
@@ -22,8 +23,7 @@ class Hidden:
     def __post_init__(self) -> None:
         if isinstance(self.spread, bool) or not isinstance(self.spread, (int, float)) or not 0.0 <= self.spread < 1.0:
             raise ConfigError(f"hidden.spread = {self.spread}: allowed is 0 … 1 (a share of each value)")
-        if isinstance(self.seed, bool) or not isinstance(self.seed, int) or self.seed < 0:
-            raise ConfigError(f"hidden.seed = {self.seed}: allowed is a whole number from 0")
+        bounds.whole("hidden.seed", self.seed, 0, 2**63 - 1)
         if isinstance(self.parameters, str) or not all(isinstance(name, str) for name in self.parameters):
             raise ConfigError(f"hidden.parameters = {self.parameters}: a list of names or patterns is expected")
 

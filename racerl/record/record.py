@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from racerl import bounds
 from racerl.assemble import build_track
 from racerl.data.differentiate import velocities
 from racerl.documents import write_bytes, write_yaml
@@ -177,13 +178,10 @@ def excitation(vehicle: Vehicle, recording: Recording) -> dict[str, float]:
 
 def _check(settings: Mapping[str, Any]) -> None:
     """Raise ConfigError for numbers that make no drive."""
-    ranges = {"seconds": (1.0, 36000.0), "rate": (20.0, 1000.0), "step": (1e-5, 0.05), "seed": (0, 2**63 - 1)}
+    ranges = {"seconds": (1.0, 36000.0), "rate": (20.0, 1000.0), "step": (1e-5, 0.05)}
     for key, (low, high) in ranges.items():
-        value = settings[key]
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
-            raise ConfigError(f"{key} = {value}: allowed is {low:g} … {high:g}")
-    if not isinstance(settings["seed"], int):
-        raise ConfigError(f"seed = {settings['seed']}: a whole number is expected")
+        bounds.number(key, settings[key], low, high)
+    bounds.whole("seed", settings["seed"], 0, 2**63 - 1)
     floor = settings["floor"]
     if not isinstance(floor, list) or len(floor) != 2 or not all(isinstance(side, (int, float)) for side in floor):
         raise ConfigError(f"floor = {floor}: two lengths in m are expected, for instance floor=[12,8]")

@@ -1,19 +1,16 @@
 """The page about a gap: verdict, pictures and proof; drawn from the files of its run folder alone."""
 
-import base64
 from pathlib import Path
 from typing import Any
 
 import jinja2
 
-from racerl.documents import read_json, read_yaml, write_text
+from racerl.documents import read_json, read_yaml
 from racerl.errors import DocumentError, RunError
 from racerl.gap.diagnose import PROOF, VERDICT
 from racerl.report.figures import gap_bars, gap_maps, gap_ranking
+from racerl.report.page import figure, provenance, write_page
 from racerl.run import CONFIG, RunFolder
-
-PAGE = "report.html"
-PROVENANCE = ("git_sha", "cpu", "threads", "seconds", "seed")
 
 
 def draw_gap(run: Path) -> Path:
@@ -23,23 +20,21 @@ def draw_gap(run: Path) -> Path:
         facts = read_json(folder.path / VERDICT)
         proof = read_json(folder.path / PROOF) if facts["gap"] else None
         figures = [
-            _figure(folder.path, name, title, caption, svg) for name, title, caption, svg in _drawn(facts, proof) if svg
+            figure(folder.path / f"{name}.svg", title, caption, svg)
+            for name, title, caption, svg in _drawn(facts, proof)
+            if svg
         ]
-        page = (
-            _environment()
-            .get_template("gap_page.html.j2")
-            .render(
-                facts=facts,
-                proof=proof,
-                figures=figures,
-                horizon=read_yaml(folder.path / CONFIG)["window"],
-                provenance={key: "–" if (value := folder.manifest.get(key)) is None else value for key in PROVENANCE},
-            )
+        return write_page(
+            folder.path,
+            "gap_page.html.j2",
+            facts=facts,
+            proof=proof,
+            figures=figures,
+            horizon=read_yaml(folder.path / CONFIG)["window"],
+            provenance=provenance(folder.manifest),
         )
     except (DocumentError, OSError, ValueError, KeyError, TypeError, jinja2.UndefinedError) as error:
         raise RunError(f"{run}: is damaged ({' '.join(str(error).split())}); run racerl gap again") from error
-    write_text(folder.path / PAGE, page)
-    return folder.path / PAGE
 
 
 def _drawn(facts: dict[str, Any], proof: dict[str, Any] | None) -> list[tuple[str, str, str, str | None]]:
@@ -67,17 +62,3 @@ def _drawn(facts: dict[str, Any], proof: dict[str, Any] | None) -> list[tuple[st
             gap_maps.draw(proof["maps"]["before"], proof["maps"]["after"] if added else [], facts["where"]),
         ),
     ]
-
-
-def _figure(folder: Path, name: str, title: str, caption: str, svg: str) -> dict[str, str]:
-    write_text(folder / f"{name}.svg", svg)
-    return {"title": title, "caption": caption, "data": base64.b64encode(svg.encode()).decode()}
-
-
-def _environment() -> jinja2.Environment:
-    return jinja2.Environment(
-        loader=jinja2.PackageLoader("racerl.report", "."),
-        autoescape=True,
-        trim_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )

@@ -1,6 +1,5 @@
 """The page about an identification: errors, values and pictures; drawn from the files of its run folder alone."""
 
-import base64
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -9,14 +8,13 @@ import jinja2
 import pandas as pd
 import pyarrow as pa
 
-from racerl.documents import read_json, write_text
+from racerl.documents import read_json
 from racerl.errors import DocumentError, RunError
 from racerl.identify.identify import OVERLAY, RESULT, TYRES
 from racerl.report.figures import overlay, residuals, tyre_curves
+from racerl.report.page import figure, provenance, write_page
 from racerl.run import RunFolder
 
-PAGE = "report.html"
-PROVENANCE = ("git_sha", "cpu", "threads", "seconds", "seed")
 ERRORS = (
     ("rmse", "identified, in runs held out", "given vehicle"),
     ("rmse_unfitted", "before", ""),
@@ -30,22 +28,18 @@ def draw_identification(run: Path) -> Path:
     try:
         facts = read_json(folder.path / RESULT)
         curves, windows = pd.read_parquet(folder.path / TYRES), pd.read_parquet(folder.path / OVERLAY)
-        figures = [_figure(folder.path, *item) for item in _drawn(facts, curves, windows)]
-        page = (
-            _environment()
-            .get_template("identification_page.html.j2")
-            .render(
-                facts=facts,
-                errors=error_rows(facts),
-                spread=spread,
-                figures=figures,
-                provenance={key: "–" if (value := folder.manifest.get(key)) is None else value for key in PROVENANCE},
-            )
+        figures = [figure(folder.path / f"{name}.svg", *shown) for name, *shown in _drawn(facts, curves, windows)]
+        return write_page(
+            folder.path,
+            "identification_page.html.j2",
+            facts=facts,
+            errors=error_rows(facts),
+            spread=spread,
+            figures=figures,
+            provenance=provenance(folder.manifest),
         )
     except (DocumentError, OSError, ValueError, KeyError, TypeError, pa.ArrowException, jinja2.UndefinedError) as error:
         raise RunError(f"{run}: is damaged ({' '.join(str(error).split())}); identify again") from error
-    write_text(folder.path / PAGE, page)
-    return folder.path / PAGE
 
 
 def error_rows(facts: dict[str, Any]) -> list[tuple[str, str, dict[str, float | None]]]:
@@ -95,17 +89,3 @@ def _drawn(facts: dict[str, Any], curves: pd.DataFrame, windows: pd.DataFrame) -
 def _outside(facts: dict[str, Any]) -> str:
     channels = facts["residuals"]["fitted"].items()
     return ", ".join(f"{c['outside']} of {c['outside'] + sum(c['counts'])} in {name}" for name, c in channels)
-
-
-def _figure(folder: Path, name: str, title: str, caption: str, svg: str) -> dict[str, str]:
-    write_text(folder / f"{name}.svg", svg)
-    return {"title": title, "caption": caption, "data": base64.b64encode(svg.encode()).decode()}
-
-
-def _environment() -> jinja2.Environment:
-    return jinja2.Environment(
-        loader=jinja2.PackageLoader("racerl.report", "."),
-        autoescape=True,
-        trim_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )

@@ -1,20 +1,17 @@
 """The page about logs: what a data run found, with pictures; drawn from the files of its run folder alone."""
 
-import base64
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import pandas as pd
 import pyarrow as pa
 
 from racerl.data.survey import FACTS, table_name
-from racerl.documents import read_json, write_text
+from racerl.documents import read_json
 from racerl.errors import DocumentError, RunError
 from racerl.report.figures import coverage, log_channels, log_states
+from racerl.report.page import figure, write_page
 from racerl.run import RunFolder
-
-PAGE = "report.html"
 
 
 def draw_logs(run: Path) -> Path:
@@ -28,14 +25,8 @@ def draw_logs(run: Path) -> Path:
         ]
     except (DocumentError, OSError, ValueError, KeyError, TypeError, pa.ArrowException) as error:
         raise RunError(f"{run}: is damaged ({' '.join(str(error).split())}); inspect the logs again") from error
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("racerl.report", "."), autoescape=True, trim_blocks=True
-    )
-    page = environment.get_template("log_page.html.j2").render(
-        logs=logs, warnings=facts["warnings"], git_sha=(folder.manifest.get("git_sha") or "–")[:18]
-    )
-    write_text(folder.path / PAGE, page)
-    return folder.path / PAGE
+    git_sha = (folder.manifest.get("git_sha") or "–")[:18]
+    return write_page(folder.path, "log_page.html.j2", logs=logs, warnings=facts["warnings"], git_sha=git_sha)
 
 
 def _section(folder: Path, number: int, table: pd.DataFrame, facts: dict[str, Any]) -> dict[str, Any]:
@@ -49,9 +40,9 @@ def _section(folder: Path, number: int, table: pd.DataFrame, facts: dict[str, An
         ),
         ("states", "Where it drives", "One dot per sample while the car moves.", log_states.draw(table, facts)),
     )
-    figures = []
-    for name, title, caption, svg in drawn:
-        if svg is not None:
-            write_text(folder / f"log_{number}_{name}.svg", svg)
-            figures.append({"title": title, "caption": caption, "data": base64.b64encode(svg.encode()).decode()})
+    figures = [
+        figure(folder / f"log_{number}_{name}.svg", title, caption, svg)
+        for name, title, caption, svg in drawn
+        if svg is not None
+    ]
     return {**facts, "figures": figures}

@@ -1,20 +1,16 @@
 """The report stage: one self-contained HTML page about finished runs, and its figures as SVG files."""
 
-import base64
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import jinja2
-
-from racerl.documents import write_text
 from racerl.optimum.floor import gap
 from racerl.report import paper_values
 from racerl.report.figures import channels, lap_times, learning_curve, racing_line
+from racerl.report.page import figure, write_page
 from racerl.report.subjects import Subject, find_subjects
 from racerl.run import RunFolder
 
-PAGE = "report.html"
 FIGURES = (
     ("racing_line", racing_line.draw, "Racing line", "Fastest lap over the track, coloured by speed."),
     (
@@ -39,24 +35,21 @@ def report(settings: Mapping[str, Any], out: Path, outputs: Path = Path("outputs
     runs = [settings["runs"]] if isinstance(settings["runs"], str) else list(settings["runs"])
     subjects = find_subjects([Path(run) for run in runs], outputs)
     folder = RunFolder.start(out, "report", settings)
-    figures = []
-    for name, draw, title, caption in FIGURES:
-        svg = draw(subjects)
-        if svg is not None:
-            write_text(folder.path / f"{name}.svg", svg)
-            figures.append({"title": title, "caption": caption, "data": base64.b64encode(svg.encode()).decode()})
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("racerl.report", "."), autoescape=True, trim_blocks=True
-    )
-    page = environment.get_template("page.html.j2").render(
+    figures = [
+        figure(folder.path / f"{name}.svg", title, caption, svg)
+        for name, draw, title, caption in FIGURES
+        if (svg := draw(subjects)) is not None
+    ]
+    page = write_page(
+        folder.path,
+        "page.html.j2",
         rows=[*map(_row, subjects), *_paper_rows()],
         figures=figures,
         remarks=_remarks(subjects),
         provenance=[run for subject in subjects for run in _provenance(subject)],
     )
-    write_text(folder.path / PAGE, page)
     folder.finish()
-    return folder.path / PAGE
+    return page
 
 
 def _number(value: float | None, digits: int) -> str:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from racerl import bounds
 from racerl.assemble import check_settings, choose_device, use_threads
 from racerl.errors import ConfigError
 from racerl.train.algorithms import create_algorithm
@@ -18,9 +19,7 @@ def train(
     settings: Mapping[str, Any], out: Path, on_progress: Callable[[Progress], None] = lambda progress: None
 ) -> dict[str, Any]:
     """Train a policy into the run folder `out`; return the facts that the manifest keeps."""
-    seed = settings["seed"]
-    if not isinstance(seed, int) or not 0 <= seed < 2**31:
-        raise ConfigError(f"seed = {seed}: allowed is a whole number, 0 … 2³¹ − 1")
+    bounds.whole("seed", settings["seed"], 0, 2**31 - 1)
     check_settings(settings)
     if not isinstance(settings.get("algo"), Mapping):
         raise ConfigError(f"algo = {settings.get('algo')}: a mapping with a name is expected, as conf/algo/ppo.yaml")

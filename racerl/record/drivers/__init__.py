@@ -10,8 +10,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from racerl import registry
-from racerl.errors import ConfigError
+from racerl import bounds, registry
 from racerl.track.track import Track
 from racerl.vehicle.vehicle import Vehicle
 
@@ -80,6 +79,4 @@ def create_driver(settings: Mapping[str, Any]) -> Driver:
 def check_ranges(driver: object, **ranges: tuple[float, float]) -> None:
     """Raise ConfigError when one of a driver's settings is no number in its range."""
     for name, (low, high) in ranges.items():
-        value = getattr(driver, name)
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
-            raise ConfigError(f"drive.{name} = {value}: allowed is {low:g} … {high:g}")
+        bounds.number(f"drive.{name}", getattr(driver, name), low, high)

@@ -1,0 +1,19 @@
+"""Numbers that a user may give: one message for whatever is of the wrong kind or out of range."""
+
+from typing import Any
+
+from racerl.errors import ConfigError
+
+
+def whole(name: str, value: Any, low: int, high: int) -> int:
+    """Return a whole number of `low` … `high`; raise ConfigError for anything else."""
+    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+        raise ConfigError(f"{name} = {value}: allowed is a whole number, {low} … {high}")
+    return value
+
+
+def number(name: str, value: Any, low: float, high: float, unit: str = "") -> float:
+    """Return a number of `low` … `high`; raise ConfigError for anything else, NaN among it."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
+        raise ConfigError(f"{name} = {value}: allowed is a number, {low:g} … {high:g} {unit}".rstrip())
+    return float(value)
