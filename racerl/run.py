@@ -153,6 +153,15 @@ class RunFolder:
         write_json(self.path / MANIFEST, self.manifest)
 
 
+def is_complete(path: Path) -> bool:
+    """Return whether a folder holds a finished run."""
+    try:
+        RunFolder.open_complete(path)
+    except RunError:
+        return False
+    return True
+
+
 def find_runs(outputs: Path) -> list[RunFolder]:
     """Return the complete runs up to `MAX_DEPTH` folders below one, oldest first; what is no run is passed over."""
     found = []

@@ -6,7 +6,7 @@ the centre of gravity in the world, velocities in the body frame, x forward, y l
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -101,6 +101,17 @@ class Log:
     def seconds(self) -> float:
         """Time driven, in s."""
         return len(self.table) * self.dt
+
+    def facts(self) -> dict[str, Any]:
+        """Return what a result says of the log that it came from."""
+        return {
+            "name": self.name,
+            "seconds": round(self.seconds, 3),
+            "runs": int(self.table["run"].nunique()),
+            "dt": self.dt,
+            "channels": self.channels,
+            "remarks": list(self.remarks),
+        }
 
     def runs(self) -> Iterator[pd.DataFrame]:
         """Yield the rows of each run."""

@@ -21,7 +21,6 @@ from racerl.gap.investigation import Found, Investigation
 from racerl.gap.locate import locate
 from racerl.gap.name import Decision, name_effects
 from racerl.gap.prove import prove
-from racerl.gap.residual import learn
 from racerl.gap.stage import stages
 from racerl.gap.verdict import Verdict, intervals, judge
 from racerl.identify.document import write_model
@@ -58,10 +57,7 @@ def gap(settings: Mapping[str, Any], out: Path, on_progress: OnProgress = lambda
     on_progress("refitting the vehicle", 0.0)
     evidence = cut(logs, settings)
     told = {
-        "logs": [
-            {"name": log.name, "seconds": round(log.seconds, 1), "runs": int(log.table["run"].nunique())}
-            for log in logs
-        ],
+        "logs": [log.facts() for log in logs],
         "remarks": [
             f"{log.name}: {line}" for log in logs for line in inspect(log, float(vehicle.wheelbase))["warnings"]
         ],
@@ -72,8 +68,7 @@ def gap(settings: Mapping[str, Any], out: Path, on_progress: OnProgress = lambda
         write_text(folder.path / MODEL, yaml.safe_dump(vehicle_document(settings["vehicle"], {}, "wheel_speed")))
     else:
         investigation = investigate(evidence, logs, vehicle, settings)
-        facts, found = _steps(investigation, settings, folder.path, on_progress)
-        facts |= told
+        facts, found = _steps(investigation, settings, folder.path, told, on_progress)
         _write_vehicle(folder.path / MODEL, settings, facts, investigation, found)
         _write_vehicle(folder.path / MODEL_BEFORE, settings, facts, investigation, investigation.base)
     write_json(folder.path / VERDICT, facts)
@@ -102,7 +97,7 @@ def investigate(
     evidence: Mapping[str, Evidence], logs: Sequence[Log], vehicle: Vehicle, settings: Mapping[str, Any]
 ) -> Investigation:
     """Return the evidence with the vehicle refitted to it, and the effects that it may lack."""
-    unknowns = choose_unknowns(vehicle, settings["priors"], _list(settings["hold"]), vehicle)
+    unknowns = choose_unknowns(vehicle, settings["priors"], settings["hold"], vehicle)
     without = {*_list(settings["without"]), *vehicle.effects}
     if not channels_of(logs) & set(POSE):
         without.add("pose_latency")  # the same as command_timestamp_offset, of channels that are not there
@@ -124,14 +119,18 @@ def _list(value: Any) -> list[str]:
 
 
 def _steps(
-    investigation: Investigation, settings: Mapping[str, Any], folder: Path, on_progress: OnProgress
+    investigation: Investigation,
+    settings: Mapping[str, Any],
+    folder: Path,
+    told: Mapping[str, Any],
+    on_progress: OnProgress,
 ) -> tuple[dict[str, Any], Found]:
     """Carry out the four steps; return the verdict's document and the refitted vehicle with what was named."""
     seed = settings["seed"]
     on_progress("locate", 0.1)
     located = _once(folder / LOCATE, lambda: locate(investigation, seed))
     decision = name_effects(investigation, seed, lambda what, share: on_progress(f"name: {what}", 0.15 + 0.75 * share))
-    verdict = judge(investigation, decision, investigation.score(investigation.base))
+    verdict = judge(investigation, decision)
     on_progress("add", 0.9)
     decision.found = investigation.everywhere(decision.found)
     named = _named(decision, verdict, intervals(investigation, decision))
@@ -151,26 +150,29 @@ def _steps(
         "worse": proof["worse"],
         "blind_to": list(verdict.blind),
         "residual": None,
+        **told,
     }
     if verdict.kind == "unknown":
         on_progress("learning a residual", 0.97)
-        facts["residual"] = _residual(investigation, decision, settings, folder)
+        facts["residual"] = _residual(investigation, decision, settings, folder, told)
     return facts, decision.found if facts["effects"] else investigation.base
 
 
 def _residual(
-    investigation: Investigation, decision: Decision, settings: Mapping[str, Any], folder: Path
+    investigation: Investigation,
+    decision: Decision,
+    settings: Mapping[str, Any],
+    folder: Path,
+    told: Mapping[str, Any],
 ) -> dict[str, Any] | None:
     """Write the vehicle with a learned residual if that helps; return what it explains."""
-    told, found = learn(
-        investigation.knowing({residual.NAME: [residual.limits(investigation)]}), decision, settings["seed"]
-    )
-    write_json(folder / RESIDUAL, told)
-    if not told["helps"]:
+    knowing = investigation.knowing({residual.NAME: [residual.limits(investigation)]})
+    facts, found = residual.learn(knowing, decision, settings["seed"])
+    write_json(folder / RESIDUAL, facts)
+    if not facts["helps"]:
         return None
-    logs = [{"name": name, "seconds": 0.0, "runs": 0} for name in _list(settings["logs"])]
-    _write_vehicle(folder / RESIDUAL_MODEL, settings, {"logs": logs}, investigation, found)
-    return {"name": residual.NAME, "explained": told["explained"], "vehicle": RESIDUAL_MODEL}
+    _write_vehicle(folder / RESIDUAL_MODEL, settings, told, investigation, found)
+    return {"name": residual.NAME, "explained": facts["explained"], "vehicle": RESIDUAL_MODEL}
 
 
 def _once(path: Path, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:

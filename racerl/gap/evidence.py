@@ -86,6 +86,11 @@ class Evidence:
             stage, columns, first, last, np.concatenate(start), np.concatenate(run), length, logs[0].dt, tuple(observed)
         )
 
+    @property
+    def numbers(self) -> int:
+        """How many numbers a window measures."""
+        return len(self.observed) * (self.length + 1)
+
     def windows(self, states: Sequence[str], shifts: Sequence[float]) -> Windows:
         """Return all windows, inputs shifted by so many seconds (later if positive), with measured initial states."""
         rows = self.start[:, None] + np.arange(self.length + 1)  # (W, T + 1)

@@ -1,11 +1,10 @@
 """The engine of the gap workflow: fits of a vehicle with any set of effects to every stage that they touch.
 
 Stages that no effect of a set touches keep the nominal fit, so that sets are compared by what they change. Fits over
-all windows rank; fits that leave folds of runs out decide.
+all windows rank; folds of stretches that are left out decide.
 """
 
 import copy
-import functools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -18,7 +17,7 @@ from racerl.gap.evidence import Evidence
 from racerl.gap.growth import places
 from racerl.gap.kernels import StageKernels
 from racerl.gap.problem import Fit, Problem, StageProblem, Unknown, expected_errors
-from racerl.gap.score import Score, merged, score
+from racerl.gap.score import Score, score, summed
 from racerl.identify.unknowns import Unknowns
 from racerl.vehicle.effects import Effect
 from racerl.vehicle.parameter import replace_values, specifications, values
@@ -122,9 +121,10 @@ class Investigation:
         iterations: int,
         stages: Iterable[str] | None = None,
         index: Mapping[str, NDArray[np.int64]] | None = None,
+        free: Sequence[Unknown] | None = None,
     ) -> Found:
         names = list(self.evidence if stages is None else stages)
-        unknowns = [*self.unknowns, *(unknown for name in sorted(effects) for unknown in _free(vehicle, name))]
+        unknowns = self._unknowns(effects, vehicle) if free is None else free
         problem = Problem(
             [
                 StageProblem.of(self.evidence[n], self.kernels[n], vehicle, unknowns, self.sigma[n], self.threads)
@@ -149,6 +149,9 @@ class Investigation:
             problem,
         )
 
+    def _unknowns(self, effects: Names, vehicle: Vehicle) -> list[Unknown]:
+        return [*self.unknowns, *(unknown for name in sorted(effects) for unknown in _free(vehicle, name))]
+
     def touched(self, vehicle: Vehicle, effects: Names) -> list[str]:
         """Return the stages whose outcome depends on a parameter of the effects."""
         found = []
@@ -166,7 +169,7 @@ class Investigation:
         """
         best: Screened | None = None
         for effect in self._likely(base, name):
-            vehicle = replace(base.vehicle, effects={**base.vehicle.effects, name: effect})
+            vehicle = with_effect(base.vehicle, name, effect)
             stages = self.touched(vehicle, frozenset([name]))
             if not stages:
                 return None
@@ -180,10 +183,6 @@ class Investigation:
             if best is None or gain > best.gain:
                 best = Screened(name, found.vehicle, gain, max(gains, key=lambda s: gains[s]))
         return best
-
-    def with_effect(self, vehicle: Vehicle, name: str) -> Vehicle:
-        """Return a vehicle with an effect of the catalogue at its usual size."""
-        return replace(vehicle, effects={**vehicle.effects, name: self.catalogue[name][0]})
 
     def _likely(self, base: Found, name: str) -> list[Effect]:
         """Return the starts of an effect; one that lies somewhere starts where errors grow most."""
@@ -202,7 +201,7 @@ class Investigation:
     def scores(self, base: Found) -> dict[str, Score]:
         """Return the score of every effect that a fitted vehicle lacks, per stage."""
         start = self._start(base, self.evidence)
-        unknowns = [*self.unknowns, *(u for effect in sorted(base.effects) for u in _free(base.vehicle, effect))]
+        unknowns = self._unknowns(base.effects, base.vehicle)
         found = {}
         for name, evidence in self.evidence.items():
             problem = StageProblem.of(
@@ -213,7 +212,7 @@ class Investigation:
 
     def score(self, base: Found) -> Score:
         """Return the scores summed over the stages."""
-        return functools.reduce(merged, self.scores(base).values())
+        return summed(self.scores(base).values())
 
     def add(self, base: Found, screened: Screened) -> Found:
         """Fit a vehicle with an effect more than a fitted one has, over the stages that they touch."""
@@ -294,16 +293,12 @@ class Investigation:
 
     def unfitted(self) -> Found:
         """Return the vehicle as configured, with initial states fitted only."""
-        problems = [
-            StageProblem.of(self.evidence[name], self.kernels[name], self.vehicle, [], self.sigma[name], self.threads)
-            for name in self.evidence
-        ]
-        problem = Problem(problems, [])
-        fit = problem.fit({}, [self.base.initial[name] for name in self.evidence], None, REFINE)
-        table = {name: float(value) for name, value in values(self.vehicle).items()}
-        names = list(self.evidence)
-        initial, cost = dict(zip(names, fit.initial, strict=True)), dict(zip(names, fit.cost, strict=True))
-        return Found(frozenset(), self.vehicle, table, initial, cost, fit, problem)
+        return self._fit(frozenset(), self.vehicle, self.base, REFINE, free=())
+
+
+def with_effect(vehicle: Vehicle, name: str, effect: Effect) -> Vehicle:
+    """Return a vehicle with an effect more."""
+    return replace(vehicle, effects={**vehicle.effects, name: effect})
 
 
 def _free(vehicle: Vehicle, effect: str) -> list[Unknown]:

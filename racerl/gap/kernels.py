@@ -1,4 +1,4 @@
-"""The compiled kernels of a stage: each holds many effects, so that no compilation stands inside a diagnosis."""
+"""The compiled kernels of a stage, by the effects in them; compiled once, then found in the cache."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -12,7 +12,7 @@ from racerl.vehicle.vehicle import STATE, Vehicle
 
 
 class StageKernel:
-    """One stage of a vehicle with every effect of a catalogue in it, compiled once for any set of them."""
+    """One stage of a vehicle with the effects of a catalogue in it, each present or absent by a parameter."""
 
     def __init__(
         self, evidence: Evidence, vehicle: Vehicle, free: Sequence[str], catalogue: Mapping[str, Effect]

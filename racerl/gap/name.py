@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from racerl.gap.catalogue import placed
 from racerl.gap.investigation import Found, Investigation, Screened
+from racerl.gap.score import Score, summed
 
 Array = NDArray[np.float64]
 SHORTLIST, CONTINUED = 8, 4  # candidates that are screened in the chassis stage, and fitted to the end in each
@@ -64,6 +65,7 @@ class Decision:
     chosen: list[str]
     found: Found
     cost: dict[str, Array]  # of held-out windows
+    score: Score  # of the refitted vehicle without effects
     rounds: list[list[Scored]] = field(default_factory=list)
     excess: list[float] = field(default_factory=list)  # of the cost over the noise, before each round and at the end
 
@@ -75,9 +77,11 @@ def name_effects(
     base = investigation.base
     cost = investigation.held_out(base)
     judge = Judge(investigation, np.random.default_rng(seed), cost)
-    decision = Decision([], base, cost, excess=[excess(investigation, cost)])
+    scores = investigation.scores(base)
+    decision = Decision([], base, cost, summed(scores.values()), excess=[excess(investigation, cost)])
     for number in range(ROUNDS):
-        scored = _round(judge, decision, _within(on_progress, number))
+        shortlist = _shortlist(investigation.scores(decision.found) if number else scores)
+        scored = _round(judge, decision, shortlist, _within(on_progress, number))
         decision.rounds.append(scored)
         if not scored or not scored[0].clear or min(scored[0].explained, scored[0].worth) < WORTH:
             break
@@ -92,10 +96,11 @@ def _within(on_progress: Callable[[str, float], None], number: int) -> Callable[
     return lambda what, share: on_progress(what, (number + share) / ROUNDS)
 
 
-def _round(judge: "Judge", decision: Decision, on_progress: Callable[[str, float], None]) -> list[Scored]:
+def _round(
+    judge: "Judge", decision: Decision, shortlist: Sequence[str], on_progress: Callable[[str, float], None]
+) -> list[Scored]:
     """Return the candidates beside those chosen, on held-out windows, best first."""
     investigation, current = judge.investigation, decision.found
-    shortlist = _shortlist(investigation, current)
     tried = []
     for i, name in enumerate(shortlist):
         on_progress(name, i / len(shortlist))
@@ -116,10 +121,10 @@ def _round(judge: "Judge", decision: Decision, on_progress: Callable[[str, float
     return [replace(row, behind=judge.behind(scored[0], row, decision.cost)) for row in scored]
 
 
-def _shortlist(investigation: Investigation, current: Found) -> list[str]:
+def _shortlist(scores: Mapping[str, Score]) -> list[str]:
     """Return the effects with the largest first-order gains in each stage, since stages do not compete."""
     names: list[str] = []
-    for stage, score in investigation.scores(current).items():
+    for stage, score in scores.items():
         gains = {name: gain for name, gain in score.gains().items() if gain > HOPELESS}
         names += sorted(gains, key=lambda name: -gains[name])[: SHORTLIST if stage == "chassis" else SHORTLIST // 2]
         if stage == "chassis" and gains:  # the score knows one place only
@@ -160,10 +165,10 @@ def excesses(investigation: Investigation, cost: Mapping[str, Array]) -> dict[st
     }
 
 
-def wild(investigation: Investigation, stage: str) -> float:
-    """Return the cost of a window beyond which its size says nothing more."""
-    evidence, cost = investigation.evidence[stage], investigation.base.cost[stage]
-    return max(WILD * len(evidence.observed) * (evidence.length + 1), TYPICAL * float(np.median(cost)))
+def wild(investigation: Investigation, stage: str, cost: Array | None = None) -> float:
+    """Return the cost of a window beyond which its size says nothing more, from costs (the nominal fit's)."""
+    usual = investigation.base.cost[stage] if cost is None else cost
+    return max(WILD * investigation.evidence[stage].numbers, TYPICAL * float(np.median(usual)))
 
 
 @dataclass(frozen=True)

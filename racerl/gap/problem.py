@@ -19,7 +19,7 @@ from racerl.gap.kernels import StageKernel, StageKernels
 from racerl.gap.presence import inner, only_shifts, with_all
 from racerl.gap.stage import SHIFTS, StageRollout
 from racerl.vehicle.parameter import replace_values, values
-from racerl.vehicle.rollout import Windows
+from racerl.vehicle.rollout import NormalEquations, Windows
 from racerl.vehicle.vehicle import STATE, Vehicle
 
 Array = NDArray[np.float64]
@@ -170,6 +170,14 @@ class Linear:
     t: Array  # (W, N)
     x: Array  # (W, A)
 
+    @classmethod
+    def of(cls, parts: NormalEquations, size: int, precision: Array) -> "Linear":
+        """Split normal equations after their first `size` unknowns; `precision` (A, A) of the initial states."""
+        H, g = parts.H, parts.g
+        cost = parts.squares.sum(axis=1)
+        tt, tx, xx = H[:, :size, :size], H[:, :size, size:], H[:, size:, size:]
+        return cls(cost, tt, tx, xx + precision, g[:, :size], g[:, size:])
+
     def inverse(self, damping: float) -> Array:
         """Return the damped inverse of xx, (W, A, A)."""
         diagonal = np.einsum("waa->wa", self.xx)
@@ -261,14 +269,13 @@ class Problem:
         return (total if np.isfinite(total) else np.inf), lines
 
     def _total(
-        self, lines: Sequence[Linear], damping: float, windows: Sequence[NDArray[np.bool_]] | None = None
+        self, reduced: Sequence[tuple[Array, Array]], windows: Sequence[NDArray[np.bool_]] | None = None
     ) -> tuple[Array, Array]:
-        """Return H and g over θ, summed over windows, with initial states eliminated."""
+        """Return H and g over θ, summed over windows, from each stage's with initial states eliminated."""
         size = len(self.names)
         H, g = np.zeros((size, size)), np.zeros(size)
-        for i, (stage, line) in enumerate(zip(self.stages, lines, strict=True)):
+        for i, (stage, (part, slope)) in enumerate(zip(self.stages, reduced, strict=True)):
             place = self._places(stage)
-            part, slope = line.reduced(damping)
             chosen = slice(None) if windows is None else windows[i]
             H[np.ix_(place, place)] += part[chosen].sum(axis=0)
             g[place] += slope[chosen].sum(axis=0)
@@ -289,7 +296,7 @@ class Problem:
         self, work: Sequence["_Work"], at: tuple[float, list[Linear]], vector: Array, damping: float
     ) -> tuple[Array, list[Array]]:
         """Return θ after a damped step, and what each stage's initial states move by."""
-        H, g = self._total(at[1], damping)
+        H, g = self._total([line.reduced(damping) for line in at[1]])
         g += (vector - self.mean) / self.scale**2
         trial = self._moved(H, g, vector, damping) if len(vector) else vector
         moves = [
@@ -330,10 +337,11 @@ class Problem:
         θ − θ_f = −H_f̄⁻¹ g_f with H_f̄ of the windows outside and g_f of those inside of it, damped where the data say
         little; the initial states of its windows follow.
         """
+        reduced = [line.reduced(0.0) for line in fit.lines]
         for fold in folds:
             seen = [~mask for mask in fold]
-            H, _ = self._total(fit.lines, 0.0, seen)
-            _, g = self._total(fit.lines, 0.0, fold)
+            H, _ = self._total(reduced, seen)
+            _, g = self._total(reduced, fold)
             before = sum(float(line.cost[mask].sum()) for line, mask in zip(fit.lines, seen, strict=True))
             damping = HELD_DAMPING
             while True:  # until the step spoils the windows that it was made from no longer
@@ -365,12 +373,12 @@ class Problem:
 
         A⁻¹ (Σ_b g_b g_bᵀ) A⁻¹ with A = H and the priors, g_b the gradient of a block.
         """
-        H, _ = self._total(fit.lines, 0.0)
+        reduced = [line.reduced(0.0) for line in fit.lines]
+        H, _ = self._total(reduced)
         inverse = np.linalg.inv(H + np.diag(self.scale**-2.0))
         meat = np.zeros_like(H)
-        for stage, line, block in zip(self.stages, fit.lines, blocks, strict=True):
+        for stage, (_, slope), block in zip(self.stages, reduced, blocks, strict=True):
             place = self._places(stage)
-            _, slope = line.reduced(0.0)
             sums = np.stack([np.bincount(block, column) for column in slope.T], axis=1)  # (B, N)
             sums -= sums.mean(axis=0)
             meat[np.ix_(place, place)] += sums.T @ sums
@@ -441,19 +449,12 @@ class _Work:
             parts = self.problem.rollout.accumulate(
                 self.problem.parameters(theta), windows, self.problem.threads, self.columns, self.silent
             )
-        P, M = len(self.mixing), self.mixing
+        raw, M = Linear.of(parts, len(self.mixing), np.diag(self.precision)), self.mixing
         away = (self.initial[self.rows] - self.rest).T  # (W, A)
-        cost = parts.squares.sum(axis=1) + (away**2 * self.precision).sum(axis=1)
+        cost = raw.cost + (away**2 * self.precision).sum(axis=1)
         if not np.isfinite(parts.H).all():
             cost = np.full_like(cost, np.inf)
-        return Linear(
-            cost,
-            M.T @ parts.H[:, :P, :P] @ M,
-            M.T @ parts.H[:, :P, P:],
-            parts.H[:, P:, P:] + np.diag(self.precision),
-            parts.g[:, :P] @ M,
-            parts.g[:, P:] + away * self.precision,
-        )
+        return Linear(cost, M.T @ raw.tt @ M, M.T @ raw.tx, raw.xx, raw.t @ M, raw.x + away * self.precision)
 
     def spread(self, line: Linear, moved: Array, damping: float) -> Array:
         """Return the step of the full initial states (S, W) when θ moves by `moved`."""

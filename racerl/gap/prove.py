@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from racerl.gap.investigation import Found, Investigation
 from racerl.gap.locate import HORIZONS, maps
-from racerl.gap.name import TYPICAL, WILD
+from racerl.gap.name import wild
 
 Array = NDArray[np.float64]
 RESAMPLES = 2000
@@ -41,9 +41,7 @@ def prove(investigation: Investigation, found: Found, seed: int) -> dict[str, An
 
 def _tame(investigation: Investigation, stage: str, powers: Sequence[Array]) -> NDArray[np.bool_]:
     """Return the windows (W,) that no vehicle misses by far."""
-    evidence = investigation.evidence[stage]
-    numbers = len(evidence.observed) * (evidence.length + 1)
-    masks = [power < max(WILD * numbers, TYPICAL * float(np.median(power))) for power in powers]
+    masks = [power < wild(investigation, stage, power) for power in powers]
     tame: NDArray[np.bool_] = np.logical_and.reduce(masks)
     return tame if tame.any() else np.ones_like(tame)
 

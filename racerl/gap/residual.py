@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from racerl.gap.investigation import Found, Investigation, Screened
+from racerl.gap.investigation import Found, Investigation, Screened, with_effect
 from racerl.gap.name import Decision, Judge
 from racerl.vehicle.effects.learned_residual import LearnedResidual
 
@@ -22,11 +22,7 @@ def limits(investigation: Investigation) -> LearnedResidual:
     """Return the residual before learning, with the limits of what the logs show."""
     columns: Mapping[str, Any] = next(iter(investigation.evidence.values())).columns
     seen = {}
-    for key, names in {
-        "speed": ("v_x", "omega"),
-        "steering": ("delta", "delta_ref"),
-        "yaw_rate": ("yaw_rate",),
-    }.items():
+    for key, names in CHANNELS.items():
         channel = next((name for name in names if name in columns), None)
         if channel:
             seen[key] = max(float(np.quantile(np.abs(columns[channel]), SEEN)), 0.1)
@@ -41,7 +37,7 @@ def learn(investigation: Investigation, decision: Decision, seed: int) -> tuple[
     base = investigation.base
     cost = investigation.held_out(base)
     judge = Judge(investigation, np.random.default_rng(seed), cost)
-    vehicle = investigation.with_effect(base.vehicle, NAME)
+    vehicle = with_effect(base.vehicle, NAME, investigation.catalogue[NAME][0])
     found = investigation.converged(investigation.add(base, Screened(NAME, vehicle, 0.0, "")))
     scored = judge.score(NAME, found, cost)
     weights = {

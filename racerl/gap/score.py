@@ -1,6 +1,7 @@
 """The score test: what first-order theory says of every effect of the catalogue, in one pass over the log."""
 
-from collections.abc import Mapping, Sequence
+import functools
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,7 +9,7 @@ from numpy.typing import NDArray
 
 from racerl.gap.follow import follow
 from racerl.gap.presence import only_shifts
-from racerl.gap.problem import StageProblem
+from racerl.gap.problem import Linear, StageProblem
 from racerl.gap.stage import SHIFTS
 from racerl.vehicle.vehicle import STATE
 
@@ -52,11 +53,7 @@ def score(problem: StageProblem, theta: Mapping[str, float], initial: Array) -> 
     asked = [*range(size), *heard]
     parts = rollout.accumulate(problem.parameters(theta), windows, problem.threads, asked, problem.silent())
     trust = np.array([problem.evidence.trust(rollout.active[i - size]) for i in heard])
-    xx = parts.H[:, size:, size:] + np.diag(trust)
-    scale = 1e-10 * np.einsum("waa->wa", xx).max(axis=1)
-    gain = parts.H[:, :size, size:] @ np.linalg.inv(xx + scale[:, None, None] * np.eye(len(heard)))
-    H = (parts.H[:, :size, :size] - gain @ parts.H[:, size:, :size]).sum(axis=0)
-    g = (parts.g[:, :size] - np.einsum("wpx,wx->wp", gain, parts.g[:, size:])).sum(axis=0)
+    H, g = (part.sum(axis=0) for part in Linear.of(parts, size, np.diag(trust)).reduced(0.0))
     nominal = problem.mixing
     spread = nominal.T @ H @ nominal
     spread += 1e-9 * np.diag(np.diag(spread)) + 1e-12 * np.eye(len(spread))
@@ -67,8 +64,12 @@ def score(problem: StageProblem, theta: Mapping[str, float], initial: Array) -> 
     return Score(absent, away.T @ H @ away, away.T @ g)
 
 
-def merged(one: Score, other: Score) -> Score:
-    """Return the sum of two stages' scores, over the effects of either."""
+def summed(scores: Iterable[Score]) -> Score:
+    """Return the sum of some stages' scores, over the effects of any."""
+    return functools.reduce(_merged, scores)
+
+
+def _merged(one: Score, other: Score) -> Score:
     names = [*one.names, *(name for name in other.names if name not in one.names)]
     H, g = np.zeros((len(names), len(names))), np.zeros(len(names))
     for part in (one, other):

@@ -1,7 +1,8 @@
 """The verdict: what held-out windows allow to be said of a log.
 
 none            nothing is left beyond the sensors' noise, and the log would have shown the usual effects
-under_excited   nothing is left, but the log would not have shown most of them
+under_excited   nothing is left, but the log would not have shown most of them; or a small excess is explained too
+                little to be sure of a name
 named           one effect is needed, and no other explains the data as well
 multiple        several effects, each needed beside the others
 ambiguous       another effect explains the data as well
@@ -38,9 +39,9 @@ class Verdict:
     reason: str
 
 
-def judge(investigation: Investigation, decision: Decision, score: Score) -> Verdict:
-    """Return the verdict; `score` is that of the nominal fit."""
-    blind = hidden(score)
+def judge(investigation: Investigation, decision: Decision) -> Verdict:
+    """Return the verdict."""
+    blind = hidden(decision.score)
     effects = tuple(decision.chosen)
     rivals = tuple(name for row in _rounds(decision) for name in equals(row) if name not in effects)
     stage, left, first = open_stage(investigation, decision)
@@ -48,8 +49,8 @@ def judge(investigation: Investigation, decision: Decision, score: Score) -> Ver
         if stage:
             reason = f"the {stage} stage has an excess of {first:.0%} over the noise's cost, which no effect explains"
             return Verdict("unknown", (), (), blind, reason)
-        if len(blind) > MOST * len(score.names):
-            reason = f"{len(blind)} of {len(score.names)} effects would not show at their usual size"
+        if len(blind) > MOST * len(decision.score.names):
+            reason = f"{len(blind)} of {len(decision.score.names)} effects would not show at their usual size"
             return Verdict("under_excited", (), (), blind, reason)
         return Verdict("none", (), (), blind, "the refitted vehicle reaches the noise")
     if stage:

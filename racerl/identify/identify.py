@@ -20,7 +20,7 @@ from racerl import bounds
 from racerl.assemble import use_threads
 from racerl.data.inspect import compare, inspect
 from racerl.data.load import load_given
-from racerl.data.log import CHANNELS, Log, separate
+from racerl.data.log import CHANNELS, separate
 from racerl.documents import write_bytes, write_json
 from racerl.errors import ConfigError, LogError
 from racerl.identify.document import write_model
@@ -74,7 +74,7 @@ def identify(
     draws = np.empty((0, len(start)))
     facts: dict[str, Any] = {
         "fitted": task is not None,
-        "logs": [_log_facts(log) for log in logs],
+        "logs": [log.facts() for log in logs],
         "inputs": {"steering": wiring.steering, "drive": wiring.drive},
         "warnings": warnings,
         "horizon": settings["window"],
@@ -238,17 +238,6 @@ def _hold_out(
 
 def _snake(name: str) -> str:
     return re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()
-
-
-def _log_facts(log: Log) -> dict[str, Any]:
-    return {
-        "name": log.name,
-        "seconds": round(log.seconds, 3),
-        "runs": int(log.table["run"].nunique()),
-        "dt": log.dt,
-        "channels": log.channels,
-        "remarks": list(log.remarks),
-    }
 
 
 def _parquet(table: pd.DataFrame) -> bytes:

@@ -63,10 +63,11 @@ def _percent(share: float | None) -> str:
 def _row(subject: Subject) -> dict[str, Any]:
     if subject.evaluation is None:
         blank = dict.fromkeys(("car", "fastest", "mean", "gap", "interval", "std", "e_off", "crashes", "valid"), "–")
-        return {"driver": subject.title, **blank}
+        return {"paper": False, "driver": subject.title, **blank}
     m = subject.evaluation.metrics
     interval = m.get("mean_lap_ci95")
     return {
+        "paper": False,
         "driver": subject.title,
         "car": m["car"],
         "fastest": _number(m["fastest_valid_lap_s"], 3),

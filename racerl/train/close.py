@@ -12,7 +12,7 @@ from racerl.documents import read_json, write_json
 from racerl.errors import ConfigError
 from racerl.evaluate.evaluate import METRICS, evaluate
 from racerl.gap.diagnose import MODEL, MODEL_BEFORE, VERDICT
-from racerl.run import MANIFEST, RunFolder
+from racerl.run import RunFolder, is_complete
 from racerl.train.train import train
 
 RESULT = "close.json"
@@ -43,10 +43,10 @@ def close(
     for i, (kind, car) in enumerate(cars.items()):
         on_progress(i / 3, f"{kind}: training")
         trained, raced = folder.path / kind, folder.path / f"{kind}_race"
-        if not _complete(trained):
+        if not is_complete(trained):
             train(compose("train", [f"vehicle={car}", *words, f"threads={settings['threads']}"]), trained)
         on_progress((i + 0.7) / 3, f"{kind}: racing")
-        if not _complete(raced):
+        if not is_complete(raced):
             race = [f"run={trained}", f"vehicle={settings['real']}", f"laps={settings['laps']}"]
             evaluate(compose("evaluate", [*race, f"seeds={list(settings['seeds'])}"]), raced)
         rows[kind] = {key: read_json(raced / METRICS)[key] for key in SHOWN}
@@ -58,10 +58,6 @@ def close(
     write_json(folder.path / RESULT, facts)
     folder.finish()
     return facts
-
-
-def _complete(folder: Path) -> bool:
-    return (folder / MANIFEST).is_file() and read_json(folder / MANIFEST).get("status") == "complete"
 
 
 def recovered(old: float | None, new: float | None, oracle: float | None) -> float | None:

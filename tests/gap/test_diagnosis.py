@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from racerl.config import compose_settings
-from racerl.documents import read_json
+from racerl.documents import read_json, write_json
 from racerl.errors import ConfigError, LogError, RunError
 from racerl.gap.diagnose import gap, next_manoeuvre
 from racerl.gap.evidence import Evidence, contradictory
@@ -89,9 +89,7 @@ def test_the_page_shows_verdict_and_pictures(diagnosis):
 def test_an_interrupted_run_goes_on_with_the_steps_that_are_there(diagnosis, tmp_path):
     shutil.copytree(diagnosis.out, tmp_path / "out")
     manifest = read_json(tmp_path / "out" / "manifest.json")
-    (tmp_path / "out" / "manifest.json").write_text(
-        str({**manifest, "status": "running"}).replace("'", '"').replace("None", "null")
-    )
+    write_json(tmp_path / "out" / "manifest.json", {**manifest, "status": "running"})
     (tmp_path / "out" / "verdict.json").unlink()
     kept = (tmp_path / "out" / "locate.json").stat().st_mtime_ns
     again = gap(diagnosis.settings, tmp_path / "out")
@@ -259,7 +257,6 @@ def test_the_next_manoeuvre_is_what_would_decide():
 def test_a_name_must_explain_most_of_a_small_excess(monkeypatch, chosen, excess, kind):
     monkeypatch.setattr("racerl.gap.verdict.open_stage", lambda *_: ("", 0.0, 0.0))
     investigation = SimpleNamespace(floor={"chassis": 1e5})
-    decision = SimpleNamespace(chosen=chosen, excess=excess, rounds=[])
     score = Score(["aero_drag", "downforce"], np.diag([900.0, 900.0]), np.zeros(2))
-    verdict = judge(investigation, decision, score)
+    verdict = judge(investigation, SimpleNamespace(chosen=chosen, excess=excess, rounds=[], score=score))
     assert verdict.kind == kind and verdict.effects == (() if kind in ("under_excited", "none") else ("aero_drag",))

@@ -70,7 +70,7 @@ class LearnedResidual(Effect):
 
     def inside(self, motion: "Motion", ops: Ops) -> Scalar:
         """Return 1 where the log has been, falling to 0 beyond."""
-        share = ops.tanh(0.0 * motion.v_x) + 1.0
+        share: Scalar = 1.0
         for value, most in ((motion.v_x, self.speed), (motion.delta, self.steering), (motion.yaw_rate, self.yaw_rate)):
             beyond = ops.abs(value) / most - 1.2
             share = share * 0.5 * (1.0 - ops.tanh(FADE * beyond))
