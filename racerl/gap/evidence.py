@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import pandas as pd
@@ -117,7 +118,7 @@ class Evidence:
             whole = int(np.floor(late))
             newer, older = (self._at(self.columns[name], rows - k) for k in (whole, whole + 1))
             return newer + (late - whole) * (older - newer), (newer - older) / self.dt
-        values, slopes = self._smooth(name)
+        values, slopes = self._smoothed[name]
         place = 0.5 - late
         whole = int(np.floor(place))
         share = place - whole
@@ -131,6 +132,11 @@ class Evidence:
         ends = self.start[:, None]
         taken: Array = column[np.clip(rows, self.first[ends], self.last[ends])]
         return taken
+
+    @cached_property
+    def _smoothed(self) -> dict[str, tuple[Array, Array]]:
+        """Measured inputs and their slopes (R,), smoothed run by run."""
+        return {name: self._smooth(name) for name in self.stage.inputs if name not in COMMANDS}
 
     def _smooth(self, name: str) -> tuple[Array, Array]:
         values, slopes = self.columns[name].copy(), np.zeros(len(self.first))
