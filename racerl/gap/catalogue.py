@@ -14,14 +14,18 @@ def starts(name: str, folder: Path) -> list[Effect]:
     """Return an effect in several sizes."""
     entry = catalogue.entry(name)
     usual = {key: float(value) for key, value in read_yaml(folder / f"{name}.yaml").items()}
-    first = next(iter(entry.parameters))
-    bounds = entry.parameters[first]
-    neutral = 1.0 if bounds.low > 0.0 and bounds.low < 1.0 < bounds.high and bounds.unit == "" else 0.0
-    effect = entry.cls(**usual)
-    away = usual[first] - neutral
-    if bounds.low <= neutral - away <= bounds.high and (bounds.low < 0.0 or neutral == 1.0):
-        return [effect, replace(effect, **{first: neutral - away})]
-    return [replace(effect, **{first: neutral + size * away}) for size in SIZES]
+    first, zero = neutral(name)
+    bounds, effect = entry.parameters[first], entry.cls(**usual)
+    away = usual[first] - zero
+    if bounds.low <= zero - away <= bounds.high and (bounds.low < 0.0 or zero == 1.0):
+        return [effect, replace(effect, **{first: zero - away})]
+    return [replace(effect, **{first: zero + size * away}) for size in SIZES]
+
+
+def neutral(name: str) -> tuple[str, float]:
+    """Return an effect's first parameter, and the value at which the effect vanishes: 1 for factors, else 0."""
+    first, bounds = next(iter(catalogue.entry(name).parameters.items()))
+    return first, 1.0 if 0.0 < bounds.low < 1.0 < bounds.high and bounds.unit == "" else 0.0
 
 
 def placed(name: str) -> bool:

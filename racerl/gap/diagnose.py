@@ -19,10 +19,10 @@ from racerl.gap.catalogue import starts
 from racerl.gap.evidence import Evidence, channels_of
 from racerl.gap.investigation import Found, Investigation
 from racerl.gap.locate import locate
-from racerl.gap.name import Decision, name_effects
+from racerl.gap.name import Decision, intervals, name_effects
 from racerl.gap.prove import prove
 from racerl.gap.stage import stages
-from racerl.gap.verdict import Verdict, intervals, judge
+from racerl.gap.verdict import Verdict, judge
 from racerl.identify.document import write_model
 from racerl.identify.unknowns import choose_unknowns
 from racerl.run import RunFolder
@@ -98,9 +98,12 @@ def investigate(
 ) -> Investigation:
     """Return the evidence with the vehicle refitted to it, and the effects that it may lack."""
     unknowns = choose_unknowns(vehicle, settings["priors"], settings["hold"], vehicle)
-    without = {*_list(settings["without"]), *vehicle.effects}
-    if not channels_of(logs) & set(POSE):
-        without.add("pose_latency")  # the same as command_timestamp_offset, of channels that are not there
+    without, limits = {*_list(settings["without"]), *vehicle.effects}, {}
+    # one shift of all on-board channels is one of the motion capture, the other way; whichever is late has the name
+    if channels_of(logs) & set(POSE):
+        limits["effects.command_timestamp_offset.latency"] = (0.0, 0.2)
+    else:
+        without.add("pose_latency")
     folder = conf_folder() / "vehicle" / "effect"
     candidates = {name: starts(name, folder) for name in catalogue.names() if name not in without}
     return Investigation(
@@ -108,6 +111,7 @@ def investigate(
         vehicle,
         unknowns,
         candidates,
+        limits=limits,
         folds=settings["folds"],
         threads=settings["threads"],
         seed=settings["seed"],
@@ -132,8 +136,7 @@ def _steps(
     decision = name_effects(investigation, seed, lambda what, share: on_progress(f"name: {what}", 0.15 + 0.75 * share))
     verdict = judge(investigation, decision)
     on_progress("add", 0.9)
-    decision.found = investigation.everywhere(decision.found)
-    named = _named(decision, verdict, intervals(investigation, decision))
+    named = _named(decision, verdict, intervals(investigation, decision.found))
     write_json(folder / NAME, named)
     on_progress("prove", 0.95)
     proof = _once(folder / PROOF, lambda: prove(investigation, decision.found, seed))
@@ -184,9 +187,7 @@ def _once(path: Path, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
     return found
 
 
-def _named(
-    decision: Decision, verdict: Verdict, found: Mapping[str, Mapping[str, tuple[float, float, float]]]
-) -> dict[str, Any]:
+def _named(decision: Decision, verdict: Verdict, ranges: Mapping[str, tuple[float, float, float]]) -> dict[str, Any]:
     units = {name: unit.unit for name, unit in specifications(decision.found.vehicle).items()}
     shares = {row[0].name: row[0].worth for row in decision.rounds if row}
     return {
@@ -194,8 +195,9 @@ def _named(
             {
                 "name": name,
                 "parameters": {
-                    key: {"value": value, "unit": units[f"effects.{name}.{key}"], "ci95": [low, high]}
-                    for key, (value, low, high) in found[name].items()
+                    key.rpartition(".")[2]: {"value": value, "unit": units[key], "ci95": [low, high]}
+                    for key, (value, low, high) in ranges.items()
+                    if key.startswith(f"effects.{name}.")
                 },
                 "explained": float(np.clip(shares.get(name, 0.0), 0.0, 1.0)),
             }

@@ -50,12 +50,13 @@ class Evidence:
     length: int
     dt: float
     observed: tuple[str, ...]  # the stage's outputs that were measured, not made from others
+    early: float = 0.0  # s, by which commands were sent before the sample that first shows them
 
     @classmethod
     def of(cls, logs: Sequence[Log], stage: Stage, length: int, slowest: float) -> "Evidence | None":
         """Cut windows side by side; None where the logs lack what the stage needs.
 
-        Windows in which the car is slower than `slowest` m/s are left out of the chassis stage.
+        Windows in which the car is slower than `slowest` m/s are left out but for the steering: tyres are stiff there.
         """
         channels = channels_of(logs)
         needed = [stage.inputs[0]] if stage.name == "steering" else list(stage.inputs)
@@ -72,7 +73,7 @@ class Evidence:
         start, run = [], []
         for number, (begin, rows) in enumerate(zip(np.cumsum(size) - size, size, strict=True)):
             places = begin + np.arange(MARGIN, rows - length - 1, length)
-            if stage.name == "chassis" and len(places):
+            if stage.name != "steering" and "v_x" in columns and len(places):
                 speed = columns["v_x"][places[:, None] + np.arange(length + 1)]
                 places = places[(speed > slowest).all(axis=1)]
             start.append(places)
@@ -115,6 +116,7 @@ class Evidence:
         """Return a channel's mean over the intervals that begin at `rows`, `shift` seconds before, and its slope."""
         late = shift / self.dt
         if name in COMMANDS:  # held from sample to sample
+            late -= self.early / self.dt
             whole = int(np.floor(late))
             newer, older = (self._at(self.columns[name], rows - k) for k in (whole, whole + 1))
             return newer + (late - whole) * (older - newer), (newer - older) / self.dt

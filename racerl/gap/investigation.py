@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 
 from racerl.gap.catalogue import placed
 from racerl.gap.evidence import Evidence
@@ -31,6 +32,8 @@ ASTRAY = 1.3  # times the noise's cost, beyond which a fit says little of the pa
 PLACES, REACH = 2, 1.5  # of an effect that lies somewhere: places that fits start from, and their size in m
 SAMPLED = 3  # every which window screening looks at
 STRETCH = 6  # windows that are held out together
+EVEN = 0.05  # excess over the noise's cost at which an actuator's command counts as rightly timed
+MENDED = 0.2  # share of an excess that a half sample must take away for the command's timing to be looked into
 WIDE = 3.0  # deviation of an effect's parameters, in their usual sizes
 
 
@@ -66,12 +69,14 @@ class Investigation:
         nominal: Unknowns,
         catalogue: Mapping[str, Sequence[Effect]],
         *,
-        folds: int = 4,
+        limits: Mapping[str, tuple[float, float]] | None = None,
+        folds: int = 8,
         threads: int = 1,
         seed: int = 0,
     ) -> None:
         self.evidence = dict(evidence)
         self.vehicle, self.catalogue, self.threads = vehicle, catalogue, threads
+        self.limits = dict(limits or {})
         self.unknowns = [
             Unknown(*row)
             for row in zip(
@@ -86,6 +91,8 @@ class Investigation:
         self.kernels = self._kernels(catalogue)
         self.noise = {name: each.noise() for name, each in self.evidence.items()}
         self.sigma = dict(self.noise)
+        for name in {"steering", "drive"} & set(self.evidence):
+            self.evidence[name] = self._timed(name)
         self.base = self._nominal()
         self.noise_errors = self.expected(self.base, seed)
         self.floor = {
@@ -102,6 +109,24 @@ class Investigation:
         other = copy.copy(self)
         other.catalogue, other.kernels = catalogue, self._kernels(catalogue)
         return other
+
+    def _timed(self, stage: str) -> Evidence:
+        """Return an actuator's evidence with its command as early as lets the vehicle reach the noise, where one does.
+
+        What is sent between two samples is logged with the later one.
+        """
+        given = self.evidence[stage]
+        enough = (1.0 + EVEN) * given.numbers * len(given.start)
+
+        def cost(early: float) -> float:
+            self.evidence[stage] = replace(given, early=float(early))
+            return float(self._fit(frozenset(), self.vehicle, None, NOMINAL, [stage]).cost[stage].sum())
+
+        late = cost(0.0)
+        if late <= enough or late - cost(0.5 * given.dt) < MENDED * (late - enough):
+            return given
+        best = minimize_scalar(cost, bounds=(0.0, given.dt), method="bounded", options={"xatol": 0.02 * given.dt})
+        return replace(given, early=float(best.x)) if best.fun <= enough else given
 
     def _nominal(self) -> Found:
         """Fit the vehicle without effects; weigh channels by their noise and a share of what is left over."""
@@ -125,6 +150,9 @@ class Investigation:
     ) -> Found:
         names = list(self.evidence if stages is None else stages)
         unknowns = self._unknowns(effects, vehicle) if free is None else free
+        if start is not None and set(names) < set(self.evidence):
+            known = self._known_elsewhere(names)
+            unknowns = [unknown for unknown in unknowns if unknown.name not in known]
         problem = Problem(
             [
                 StageProblem.of(self.evidence[n], self.kernels[n], vehicle, unknowns, self.sigma[n], self.threads)
@@ -149,13 +177,33 @@ class Investigation:
             problem,
         )
 
+    def _known_elsewhere(self, stages: Sequence[str]) -> set[str]:
+        """Return the vehicle's parameters that other stages than these determine: they stay as those found them."""
+        parts = {part.evidence.stage.name: set(part.names) for part in self.base.problem.stages}
+        return set().union(*(parts[n] for n in parts if n not in stages)) - set().union(*(parts[n] for n in stages))
+
     def _unknowns(self, effects: Names, vehicle: Vehicle) -> list[Unknown]:
-        return [*self.unknowns, *(unknown for name in sorted(effects) for unknown in _free(vehicle, name))]
+        return [*self.unknowns, *(unknown for name in sorted(effects) for unknown in self._free(vehicle, name))]
+
+    def _free(self, vehicle: Vehicle, effect: str) -> list[Unknown]:
+        """Return an effect's parameters as unknowns, with wide priors, inside physical bounds or the log's own."""
+        table, known = values(vehicle), specifications(vehicle)
+        held = vehicle.effects[effect].known
+        names = [n for n in table if n.startswith(f"effects.{effect}.") and n.rpartition(".")[2] not in held]
+        return [
+            Unknown(
+                name,
+                float(table[name]),
+                WIDE * max(abs(float(table[name])), 0.01 * min(1.0, known[name].high - known[name].low)),
+                *self.limits.get(name, (known[name].low, known[name].high)),
+            )
+            for name in names
+        ]
 
     def touched(self, vehicle: Vehicle, effects: Names) -> list[str]:
         """Return the stages whose outcome depends on a parameter of the effects."""
         found = []
-        unknowns = [unknown for effect in effects for unknown in _free(vehicle, effect)]
+        unknowns = [unknown for effect in effects for unknown in self._free(vehicle, effect)]
         for name, evidence in self.evidence.items():
             if StageProblem.touched(evidence, self.kernels[name], vehicle, unknowns):
                 found.append(name)
@@ -201,13 +249,14 @@ class Investigation:
     def scores(self, base: Found) -> dict[str, Score]:
         """Return the score of every effect that a fitted vehicle lacks, per stage."""
         start = self._start(base, self.evidence)
-        unknowns = self._unknowns(base.effects, base.vehicle)
         found = {}
         for name, evidence in self.evidence.items():
+            known = self._known_elsewhere([name])
+            unknowns = [u for u in self._unknowns(base.effects, base.vehicle) if u.name not in known]
             problem = StageProblem.of(
                 evidence, self.kernels[name], base.vehicle, unknowns, self.sigma[name], self.threads, whole=True
             )
-            found[name] = score(problem, base.theta, start.initial[name])
+            found[name] = score(problem, unknowns, base.theta, start.initial[name])
         return found
 
     def score(self, base: Found) -> Score:
@@ -299,20 +348,3 @@ class Investigation:
 def with_effect(vehicle: Vehicle, name: str, effect: Effect) -> Vehicle:
     """Return a vehicle with an effect more."""
     return replace(vehicle, effects={**vehicle.effects, name: effect})
-
-
-def _free(vehicle: Vehicle, effect: str) -> list[Unknown]:
-    """Return an effect's parameters as unknowns, with wide priors."""
-    table, known = values(vehicle), specifications(vehicle)
-    held = vehicle.effects[effect].known
-    names = [n for n in table if n.startswith(f"effects.{effect}.") and n.rpartition(".")[2] not in held]
-    return [
-        Unknown(
-            name,
-            float(table[name]),
-            WIDE * max(abs(float(table[name])), 0.01 * min(1.0, known[name].high - known[name].low)),
-            known[name].low,
-            known[name].high,
-        )
-        for name in names
-    ]

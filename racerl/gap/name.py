@@ -10,17 +10,18 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from racerl.gap.catalogue import placed
+from racerl.gap.catalogue import neutral, placed
 from racerl.gap.investigation import Found, Investigation, Screened
 from racerl.gap.score import Score, summed
 
 Array = NDArray[np.float64]
-SHORTLIST, CONTINUED = 8, 4  # candidates that are screened in the chassis stage, and fitted to the end in each
+SHORTLIST, CONTINUED = 8, 4  # candidates of each stage that are screened, and fitted to the end
 FAINT = 0.15  # of the most gain in screening, below which a candidate is given up
 CLOSE = 0.5  # of the most gain, above which a candidate's fit is carried on to its end
 HOPELESS = 30.0  # first-order gain, a χ², below which no effect is worth a fit
 ROUNDS = 4
 RESAMPLES = 2000
+OUTER = 0.02  # share of the blocks on each side that count no more than their neighbours
 CLEAR = 3.0  # standard errors by which a gain must differ from zero
 SAME = 2.0  # standard errors within which candidates explain alike
 PARAMETER = 0.01  # share of the excess that one more parameter must explain
@@ -89,7 +90,7 @@ def name_effects(
         decision.chosen.append(best.name)
         decision.found, decision.cost = best.found, {**decision.cost, **best.cost}
         decision.excess.append(excess(investigation, decision.cost))
-    return _without_needless(judge, decision)
+    return _settled(investigation, _without_needless(judge, decision))
 
 
 def _within(on_progress: Callable[[str, float], None], number: int) -> Callable[[str, float], None]:
@@ -115,7 +116,9 @@ def _round(
     ]
     scored.sort(key=lambda row: -row.gain)
     if scored:
-        alike = [row for row in scored if judge.behind(scored[0], row, decision.cost) < SAME]
+        alike = [
+            row for row in scored if row.clear >= scored[0].clear and judge.behind(scored[0], row, decision.cost) < SAME
+        ]
         first = max(alike, key=lambda row: row.explained - PARAMETER * row.size)
         scored = [first, *(row for row in scored if row is not first)]
     return [replace(row, behind=judge.behind(scored[0], row, decision.cost)) for row in scored]
@@ -126,7 +129,7 @@ def _shortlist(scores: Mapping[str, Score]) -> list[str]:
     names: list[str] = []
     for stage, score in scores.items():
         gains = {name: gain for name, gain in score.gains().items() if gain > HOPELESS}
-        names += sorted(gains, key=lambda name: -gains[name])[: SHORTLIST if stage == "chassis" else SHORTLIST // 2]
+        names += sorted(gains, key=lambda name: -gains[name])[:SHORTLIST]
         if stage == "chassis" and gains:  # the score knows one place only
             names += [name for name in score.names if placed(name)]
     return list(dict.fromkeys(names))
@@ -152,6 +155,37 @@ def _without_needless(judge: "Judge", decision: Decision) -> Decision:
     return decision
 
 
+def _settled(investigation: Investigation, decision: Decision) -> Decision:
+    """Identify everything again in all stages; take out effects whose interval then holds the value of no effect."""
+    while True:
+        found = investigation.everywhere(decision.found)
+        ranges = intervals(investigation, found)
+        idle = [name for name in decision.chosen if _idle(name, ranges)]
+        if not idle:
+            return replace(decision, found=found)
+        others = [name for name in decision.chosen if name != idle[0]]
+        decision = replace(decision, chosen=others, found=investigation.without(found, idle[0]))
+
+
+def _idle(name: str, ranges: Mapping[str, tuple[float, float, float]]) -> bool:
+    first, zero = neutral(name)
+    _, low, high = ranges[f"effects.{name}.{first}"]
+    return low <= zero <= high
+
+
+def intervals(investigation: Investigation, found: Found) -> dict[str, tuple[float, float, float]]:
+    """Return each fitted parameter's value and 95 % interval, inside the physical bounds."""
+    bounds = {unknown.name: (unknown.low, unknown.high) for unknown in found.problem.unknowns}
+    return {
+        name: (
+            value := found.theta[name],
+            max(value - 1.96 * deviation, bounds[name][0]),
+            min(value + 1.96 * deviation, bounds[name][1]),
+        )
+        for name, deviation in investigation.deviations(found).items()
+    }
+
+
 def excess(investigation: Investigation, cost: Mapping[str, Array]) -> float:
     """Return the cost beyond what the sensors' noise alone would leave; wild windows count up to a limit."""
     return sum(max(0.0, part) for part in excesses(investigation, cost).values())
@@ -169,6 +203,13 @@ def wild(investigation: Investigation, stage: str, cost: Array | None = None) ->
     """Return the cost of a window beyond which its size says nothing more, from costs (the nominal fit's)."""
     usual = investigation.base.cost[stage] if cost is None else cost
     return max(WILD * investigation.evidence[stage].numbers, TYPICAL * float(np.median(usual)))
+
+
+def _winsorised(sums: Array) -> Array:
+    """Return values with the outermost on each side moved to their neighbours."""
+    ordered = np.sort(sums)
+    outer = max(1, round(OUTER * len(sums)))
+    return np.clip(sums, ordered[outer], ordered[-1 - outer]) if len(sums) > 2 * outer + 1 else sums
 
 
 @dataclass(frozen=True)
@@ -211,11 +252,12 @@ class Judge:
         return float((drawn <= 0.0).mean())
 
     def _blocks(self, before: Mapping[str, Array], after: Mapping[str, Array]) -> Array:
+        """Return the fall of the loss by block, (B,), winsorised: no block decides alone."""
         parts = []
         for stage in after:
             if stage in before:
                 fall = self.loss(stage, before[stage]) - self.loss(stage, after[stage])
-                parts.append(np.bincount(self.investigation.blocks(stage), fall))
+                parts.append(_winsorised(np.bincount(self.investigation.blocks(stage), fall).astype(float)))
         return np.concatenate(parts)
 
     def loss(self, stage: str, cost: Array) -> Array:

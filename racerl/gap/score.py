@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from racerl.gap.follow import follow
 from racerl.gap.presence import only_shifts
-from racerl.gap.problem import Linear, StageProblem
+from racerl.gap.problem import Linear, StageProblem, Unknown
 from racerl.gap.stage import SHIFTS
 from racerl.vehicle.vehicle import STATE
 
@@ -36,11 +36,11 @@ class Score:
         return cosine
 
 
-def score(problem: StageProblem, theta: Mapping[str, float], initial: Array) -> Score:
+def score(problem: StageProblem, unknowns: Sequence[Unknown], theta: Mapping[str, float], initial: Array) -> Score:
     """Return the score of all effects that the kernel knows and the vehicle lacks.
 
-    The sensitivities to the nominal parameters and to every window's initial state are projected out: what they can
-    explain does not count for an effect.
+    The sensitivities to the stage's unknowns, inside their priors, and to every window's initial state are projected
+    out: what they can explain does not count for an effect.
     """
     rollout, size = problem.rollout, len(problem.rollout.names)
     car = problem.everything(theta)
@@ -54,14 +54,15 @@ def score(problem: StageProblem, theta: Mapping[str, float], initial: Array) -> 
     parts = rollout.accumulate(problem.parameters(theta), windows, problem.threads, asked, problem.silent())
     trust = np.array([problem.evidence.trust(rollout.active[i - size]) for i in heard])
     H, g = (part.sum(axis=0) for part in Linear.of(parts, size, np.diag(trust)).reduced(0.0))
-    nominal = problem.mixing
-    spread = nominal.T @ H @ nominal
-    spread += 1e-9 * np.diag(np.diag(spread)) + 1e-12 * np.eye(len(spread))
     picked = np.zeros((size, len(absent)))
     for k, name in enumerate(absent):
         picked[:, k] = _direction(problem, rollout.names, name, columns)
-    away = picked - nominal @ np.linalg.solve(spread, nominal.T @ H @ picked)
-    return Score(absent, away.T @ H @ away, away.T @ g)
+    free, known = problem.mixing, [u for u in unknowns if u.name in problem.names]
+    precision = np.array([u.sigma**-2.0 for u in known])
+    slope = free.T @ g + precision * np.array([theta[u.name] - u.start for u in known])
+    shared = free.T @ H @ picked
+    moved = np.linalg.solve(free.T @ H @ free + np.diag(precision), np.column_stack([shared, slope]))
+    return Score(absent, picked.T @ H @ picked - shared.T @ moved[:, :-1], picked.T @ g - shared.T @ moved[:, -1])
 
 
 def summed(scores: Iterable[Score]) -> Score:

@@ -9,7 +9,6 @@ ambiguous       another effect explains the data as well
 unknown         what is left is real, and no known effect explains it
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,6 +43,7 @@ def judge(investigation: Investigation, decision: Decision) -> Verdict:
     blind = hidden(decision.score)
     effects = tuple(decision.chosen)
     rivals = tuple(name for row in _rounds(decision) for name in equals(row) if name not in effects)
+    before, after = fitted(investigation, decision)
     stage, left, first = open_stage(investigation, decision)
     if not effects:
         if stage:
@@ -56,24 +56,21 @@ def judge(investigation: Investigation, decision: Decision) -> Verdict:
     if stage:
         reason = f"{' and '.join(effects)} helps, but leaves {left / first:.0%} of the excess in the {stage} stage"
         return Verdict("unknown", effects, (), blind, reason)
-    total, rest = decision.excess[0], decision.excess[-1]
+    total, rest = (sum(max(0.0, part) for part in parts.values()) for parts in (before, after))
+    share = 1.0 - rest / max(total, 1e-9)
     coarse = rest > COARSE * sum(investigation.floor.values())
-    if not coarse and 1.0 - rest / total < CREDIBLE:
-        reason = f"{' and '.join(effects)} helps, but explains only {1.0 - rest / total:.0%} of a small excess"
+    if not coarse and share < CREDIBLE:
+        reason = f"{' and '.join(effects)} helps, but explains only {share:.0%} of a small excess"
         return Verdict("under_excited", (), (), blind, reason)
-    explained = f"{' and '.join(effects)} explains {1.0 - rest / total:.0%} of the excess"
+    explained = f"{' and '.join(effects)} explains {share:.0%} of the excess"
     if rivals:
         return Verdict("ambiguous", effects, rivals, blind, f"{explained}, and so does {' or '.join(rivals)}")
     return Verdict("named" if len(effects) == 1 else "multiple", effects, (), blind, explained)
 
 
 def open_stage(investigation: Investigation, decision: Decision) -> tuple[str, float, float]:
-    """Return the stage whose excess is real and not explained, with that and its first one, over the noise's cost.
-
-    By the fits to all windows: on short logs, parameters that a fold knows badly look like an excess on held-out ones.
-    """
-    base = investigation.base.cost
-    before, after = (excesses(investigation, cost) for cost in (base, {**base, **decision.found.cost}))
+    """Return the stage whose excess is real and not explained, with that and its first one, over the noise's cost."""
+    before, after = fitted(investigation, decision)
     worst = ("", 0.0, 0.0)
     for name, noise in investigation.floor.items():
         left, first = after[name] / noise, before[name] / noise
@@ -81,6 +78,15 @@ def open_stage(investigation: Investigation, decision: Decision) -> tuple[str, f
         if left > REAL and left > LEFT * first and not coarse and left > worst[1]:
             worst = (name, left, first)
     return worst
+
+
+def fitted(investigation: Investigation, decision: Decision) -> tuple[dict[str, float], dict[str, float]]:
+    """Return the excess of every stage before and after naming, by the fits to all windows.
+
+    On short logs, parameters that a fold knows badly look like an excess on held-out windows.
+    """
+    base = investigation.base.cost
+    return excesses(investigation, base), excesses(investigation, {**base, **decision.found.cost})
 
 
 def _rounds(decision: Decision) -> list[list[Scored]]:
@@ -105,18 +111,3 @@ def hidden(score: Score) -> tuple[str, ...]:
     """Return the effects that would not show at their usual size."""
     shown = np.diag(score.H)
     return tuple(name for name, gain in zip(score.names, shown, strict=True) if gain < SHOWS)
-
-
-def intervals(investigation: Investigation, decision: Decision) -> dict[str, dict[str, tuple[float, float, float]]]:
-    """Return each chosen effect's parameters: value and 95 % interval, inside the physical bounds."""
-    found = decision.found
-    deviations: Mapping[str, float] = investigation.deviations(found)
-    bounds = {unknown.name: (unknown.low, unknown.high) for unknown in found.problem.unknowns}
-    result: dict[str, dict[str, tuple[float, float, float]]] = {name: {} for name in decision.chosen}
-    for name, deviation in deviations.items():
-        parts = name.split(".")
-        if parts[0] == "effects" and parts[1] in result:
-            value, (low, high) = found.theta[name], bounds[name]
-            half = 1.96 * deviation
-            result[parts[1]][".".join(parts[2:])] = (value, max(value - half, low), min(value + half, high))
-    return result

@@ -22,6 +22,7 @@ from racerl.gap.verdict import Verdict, equals, judge
 from racerl.report.gap_page import draw_gap
 from racerl.vehicle import catalogue
 from racerl.vehicle.load import load_vehicle
+from tests.gap.conftest import drive
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler on this machine")
 KNOWN = ("yaw_damping", "aero_drag", "command_timestamp_offset", "pose_latency", "lateral_load_sensitivity")
@@ -109,16 +110,28 @@ def test_what_no_known_effect_explains_is_called_unknown_and_gets_no_name(damped
 
 
 @needs_compiler
-def test_what_cannot_be_told_apart_is_called_ambiguous(clean, tmp_path):
+@pytest.mark.parametrize(("late", "name"), [(4, "pose_latency"), (-4, "command_timestamp_offset")])
+def test_one_shift_has_the_name_of_what_is_late(clean, tmp_path, late, name):
     motion, table = ["x", "y", "yaw", "v_x", "v_y", "yaw_rate"], clean.table.copy()
-    table[motion] = table.groupby("run")[motion].shift(4)  # 0.04 s late
-    late = dataclasses.replace(clean, name="late", table=table.dropna().reset_index(drop=True))
-    facts = gap(settings_for(late, tmp_path, *KNOWN), tmp_path / "out")
+    table[motion] = table.groupby("run")[motion].shift(late)  # 10 ms each
+    shifted = dataclasses.replace(clean, name="shifted", table=table.dropna().reset_index(drop=True))
+    facts = gap(settings_for(shifted, tmp_path, *KNOWN), tmp_path / "out")
+    assert facts["verdict"] == "named" and facts["effects"][0]["name"] == name, facts["reason"]
+    assert facts["effects"][0]["parameters"]["latency"]["value"] == pytest.approx(0.04, abs=0.002)
+
+
+@needs_compiler
+def test_what_cannot_be_told_apart_is_called_ambiguous(tmp_path):
+    """Where no command is logged, an angle that is wrong on the road and one that is measured wrong are the same."""
+    log = drive("+vehicle/effect=steering_offset", "vehicle.effects.steering_offset.offset=0.03")
+    blind = dataclasses.replace(log, table=log.table.drop(columns="delta_ref"))
+    names = {"steering_offset", "steering_sensor_offset"}
+    facts = gap(settings_for(blind, tmp_path, "yaw_damping", *names), tmp_path / "out")
     assert facts["verdict"] == "ambiguous", facts["reason"]
-    assert {facts["effects"][0]["name"], *facts["ambiguous_with"]} == {"pose_latency", "command_timestamp_offset"}
-    (latency,) = facts["effects"][0]["parameters"].values()
-    assert abs(latency["value"]) == pytest.approx(0.04, abs=0.002)
-    assert "step steers" in facts["next_manoeuvre"]
+    assert {facts["effects"][0]["name"], *facts["ambiguous_with"]} == names
+    assert facts["next_manoeuvre"]
+    (offset,) = facts["effects"][0]["parameters"].values()
+    assert abs(offset["value"]) == pytest.approx(0.03, abs=0.003)
 
 
 @needs_compiler
@@ -256,7 +269,8 @@ def test_the_next_manoeuvre_is_what_would_decide():
 )
 def test_a_name_must_explain_most_of_a_small_excess(monkeypatch, chosen, excess, kind):
     monkeypatch.setattr("racerl.gap.verdict.open_stage", lambda *_: ("", 0.0, 0.0))
+    monkeypatch.setattr("racerl.gap.verdict.fitted", lambda *_: ({"chassis": excess[0]}, {"chassis": excess[-1]}))
     investigation = SimpleNamespace(floor={"chassis": 1e5})
     score = Score(["aero_drag", "downforce"], np.diag([900.0, 900.0]), np.zeros(2))
-    verdict = judge(investigation, SimpleNamespace(chosen=chosen, excess=excess, rounds=[], score=score))
+    verdict = judge(investigation, SimpleNamespace(chosen=chosen, rounds=[], score=score))
     assert verdict.kind == kind and verdict.effects == (() if kind in ("under_excited", "none") else ("aero_drag",))

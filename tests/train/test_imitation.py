@@ -64,9 +64,9 @@ def laps_of(settings, path) -> dict:
 
 
 def test_a_policy_learns_from_it(settings, tmp_path):
-    quick = {**settings, "algo": {**settings["algo"], "rounds": 12, "last_updates": 300}}
+    quick = {**settings, "algo": {**settings["algo"], "rounds": 8, "updates": 60, "last_updates": 200}}
     facts = train(quick, tmp_path / "run")
-    assert facts["steps"] == 12 * 256 * 40
+    assert facts["steps"] == 8 * 256 * 40
     learned = laps_of(settings, tmp_path / "run")
     assert learned["crash_share"] < 0.15 and learned["mean_lap_s"] < 1.3 * FLOOR
     losses = [json.loads(line)["train/loss"] for line in (tmp_path / "run" / "progress.jsonl").read_text().splitlines()]
@@ -74,7 +74,7 @@ def test_a_policy_learns_from_it(settings, tmp_path):
 
 
 def test_a_policy_that_hardly_moves_does_not(settings, tmp_path):
-    frozen = {**settings, "algo": {**settings["algo"], "rounds": 2, "learning_rate": 1e-9}}
+    frozen = {**settings, "algo": {**settings["algo"], "rounds": 2, "last_updates": 100, "learning_rate": 1e-9}}
     train(frozen, tmp_path / "run")
     assert laps_of(settings, tmp_path / "run")["valid_laps"] == 0
 
