@@ -384,16 +384,23 @@ def _bench(settings: "Settings", out: Path) -> None:
     from racerl.config import compose_settings
     from racerl.console import Bar
     from racerl.documents import write_text
-    from racerl.report.figures import cost
+    from racerl.report.figures import blind_test, cost
 
     console = _console()
     with Bar(console, "bench") as bar:
         facts = bench(settings, out, compose_settings, bar.show)
     console.print_json(data=facts)
     written = [out / RESULT]
-    if picture := cost.draw(facts):
-        written.append(out / "cost.svg")
-        write_text(written[-1], picture)
+    gap = facts.get("gap", {})
+    pictures = {
+        "cost": cost.draw(facts),
+        "detection": blind_test.draw_detection(gap.get("detection", [])),
+        "confusion": blind_test.draw_confusion(gap.get("confusion", {})),
+    }
+    for name, picture in pictures.items():
+        if picture:
+            written.append(out / f"{name}.svg")
+            write_text(written[-1], picture)
     console.print(f"numbers in {' and '.join(map(str, written))}", highlight=False, soft_wrap=True)
 
 

@@ -7,7 +7,7 @@ diagnosis in `work`, where an interrupted benchmark goes on.
 
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
@@ -47,7 +47,15 @@ class Gap:
             rows.append(
                 outcome(log.stem, keys[log.stem], *_diagnosis(compose("gap", words), Path(self.work) / log.stem))
             )
-        return {"gap": {"cases": rows, "scores": scores(rows), "confusion": confusion(rows)}}
+        return {
+            "gap": {
+                "cases": rows,
+                "scores": scores(rows),
+                "detection": detection(rows),
+                "by_verdict": by_verdict(rows),
+                "confusion": confusion(rows),
+            }
+        }
 
 
 def _diagnosis(settings: dict[str, Any], out: Path) -> tuple[dict[str, Any], float | None]:
@@ -73,21 +81,20 @@ def outcome(case: str, key: dict[str, Any], verdict: dict[str, Any], seconds: fl
         "found": found,
         "rivals": verdict["ambiguous_with"],
         "explained": verdict["gap"]["explained"] if verdict["gap"] else None,
-        "errors": _parameter_errors(key, verdict),
+        "errors": {name: abs(p["value"] / value - 1.0) for name, p, value in _shared(key, verdict) if value},
+        "inside": {name: p["ci95"][0] <= value <= p["ci95"][1] for name, p, value in _shared(key, verdict)},
         "seconds": seconds,
     }
 
 
-def _parameter_errors(key: dict[str, Any], verdict: dict[str, Any]) -> dict[str, float]:
-    """Return relative errors of parameters that plant and catalogue give the same name and unit."""
-    errors = {}
+def _shared(key: dict[str, Any], verdict: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any], float]]:
+    """Yield name, what was found and the truth of parameters that plant and catalogue give the same name and unit."""
     for true in key["effects"]:
         for found in verdict["effects"]:
             for name, value in true["parameters"].items():
                 p = found["parameters"].get(name) if found["name"] == true["name"] else None
-                if p and p["unit"] == true["units"][name] and value:
-                    errors[f"{true['name']}.{name}"] = abs(p["value"] / value - 1.0)
-    return errors
+                if p and p["unit"] == true["units"][name]:
+                    yield f"{true['name']}.{name}", p, value
 
 
 def right(row: dict[str, Any]) -> bool:
@@ -129,6 +136,9 @@ def scores(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     reported = [len(row["found"]) + len(row["rivals"]) for row in single if row["found"]]
     explained = sorted(row["explained"] for row in single if row["explained"] is not None and right(row))
     errors = [error for row in single if row["sizes"] == ["medium"] for error in row["errors"].values()]
+    inside = [truth for row in single for truth in row["inside"].values()]
+    if inside:
+        found["true value inside the 95 % interval"] = share(sum(inside), len(inside))
     if reported:
         found["mean size of the reported set"] = sum(reported) / len(reported)
     if explained:
@@ -143,6 +153,37 @@ def scores(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 def _of(rows: Sequence[dict[str, Any]], name: str) -> list[dict[str, Any]]:
     return [row for row in rows if row["set"] == name]
+
+
+def detection(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the share of single effects called by their names, by programme, size and noise."""
+    cells: dict[tuple[str, str, float], list[bool]] = {}
+    for row in rows:
+        if row["set"] == "single":
+            cells.setdefault((row["programme"], row["sizes"][0], row["noise"]), []).append(right(row))
+    return [
+        {"programme": programme, "size": size, "noise": noise, **share(sum(told), len(told))}
+        for (programme, size, noise), told in sorted(cells.items())
+    ]
+
+
+def by_verdict(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Return how far each kind of verdict is to be trusted: how often it is what should have been said."""
+    told: dict[str, list[bool]] = {}
+    for row in rows:
+        told.setdefault(row["verdict"], []).append(deserved(row))
+    return {verdict: share(sum(cases), len(cases)) for verdict, cases in sorted(told.items())}
+
+
+def deserved(row: dict[str, Any]) -> bool:
+    """Return whether a verdict is true: the right name, the truth among rivals, no name where there is none."""
+    if row["verdict"] == "ambiguous":
+        return contained(row) and bool(row["truth"])
+    if row["verdict"] == "unknown":
+        return row["set"] == "unlisted" or row["structure"] != "single_track"
+    if row["verdict"] == "under_excited":
+        return row["set"] == "poor"
+    return right(row)
 
 
 def share(count: int, total: int) -> dict[str, Any]:

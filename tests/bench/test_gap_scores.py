@@ -2,7 +2,7 @@
 
 import pytest
 
-from racerl.bench.gap import confusion, outcome, right, scores, share, wrong_name
+from racerl.bench.gap import by_verdict, confusion, detection, outcome, right, scores, share, wrong_name
 
 
 def case(truth, verdict, found=(), rivals=(), kind="single", size="medium", programme="excitation"):
@@ -14,9 +14,12 @@ def case(truth, verdict, found=(), rivals=(), kind="single", size="medium", prog
         "programme": programme,
         "noise": 1.0,
     }
+    delay = {"value": 0.05, "unit": "s", "ci95": [0.039, 0.06]}
     told = {
         "verdict": verdict,
-        "effects": [{"name": n, "parameters": {"delay": {"value": 0.05, "unit": "s"}}} for n in found],
+        "effects": [
+            {"name": n, "parameters": {"delay": {"value": 0.05, "unit": "s", "ci95": [0.039, 0.06]}}} for n in found
+        ],
         "ambiguous_with": list(rivals),
         "gap": {"explained": 0.9},
     }
@@ -53,9 +56,18 @@ def test_scores_count_what_was_said():
         "false alarm on clean logs": (1, 2),
         "unknown, effects of no catalogue": (1, 1),
         "both of two effects": (1, 1),
+        "true value inside the 95 % interval": (1, 1),
     }
     assert found["mean size of the reported set"] == pytest.approx(4 / 3)
     assert found["parameter error at medium size, median"] == pytest.approx(0.25)
+    cells = {(c["programme"], c["size"], c["noise"]): (c["count"], c["of"]) for c in detection(rows)}
+    assert cells == {
+        ("excitation", "medium", 1.0): (1, 2),
+        ("excitation", "small", 1.0): (0, 1),
+        ("race", "medium", 1.0): (0, 1),
+    }
+    trusted = {kind: (row["count"], row["of"]) for kind, row in by_verdict(rows).items()}
+    assert trusted == {"ambiguous": (1, 2), "multiple": (1, 1), "named": (1, 2), "none": (1, 2), "unknown": (1, 1)}
     assert confusion(rows)["a"] == {"a": 1, "ambiguous": 1, "b": 1, "none": 1}
 
 
