@@ -17,7 +17,7 @@ from racerl.documents import conf_folder, read_json, write_json, write_text
 from racerl.gap import residual
 from racerl.gap.catalogue import starts
 from racerl.gap.evidence import Evidence, channels_of
-from racerl.gap.investigation import Found, Investigation
+from racerl.gap.investigation import COG, FAR, Found, Investigation
 from racerl.gap.locate import locate
 from racerl.gap.name import Decision, intervals, name_effects
 from racerl.gap.prove import prove
@@ -104,6 +104,10 @@ def investigate(
         limits["effects.command_timestamp_offset.latency"] = (0.0, 0.2)
     else:
         without.add("pose_latency")
+    if "l_f" in unknowns.names and COG not in without:  # further off has a name
+        at = unknowns.names.index("l_f")
+        weighed, deviation = float(unknowns.start[at]), float(unknowns.sigma[at])
+        limits["l_f"] = weighed - FAR * deviation, weighed + FAR * deviation
     folder = conf_folder() / "vehicle" / "effect"
     candidates = {name: starts(name, folder) for name in catalogue.names() if name not in without}
     return Investigation(
@@ -149,6 +153,7 @@ def _steps(
         "next_manoeuvre": next_manoeuvre(verdict),
         "ranking": named["ranking"],
         "where": located["where"],
+        "moved": investigation.moved(),
         "gap": proof["gap"],
         "worse": proof["worse"],
         "blind_to": list(verdict.blind),
@@ -243,6 +248,7 @@ def _silent(logs: Sequence[Log]) -> dict[str, Any]:
         "next_manoeuvre": PROGRAMME,
         "ranking": [],
         "where": [],
+        "moved": [],
         "gap": None,
         "worse": [],
         "blind_to": list(catalogue.names()),

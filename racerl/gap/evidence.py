@@ -155,21 +155,22 @@ class Evidence:
 
         Zero for outputs, whose first sample is among the residuals, and for what was not measured.
         """
-        return 0.0 if name in self.stage.outputs or name not in self.columns else float(self._noise([name])[0]) ** -2
+        return 0.0 if name in self.stage.outputs or name not in self.columns else float(self.noise_of([name])[0]) ** -2
 
     def noise(self) -> Array:
         """Return the standard deviation of each output's noise, (C,): what local polynomials do not follow."""
-        return self._noise(self.observed)
+        return self.noise_of(self.observed)
 
     def with_noisy_inputs(self, generator: np.random.Generator) -> "Evidence":
         """Return the evidence with as much noise again on every measured input; commands are known."""
         columns = dict(self.columns)
         for name in self.stage.inputs:
             if name not in COMMANDS:
-                columns[name] = columns[name] + self._noise([name])[0] * generator.standard_normal(len(self.first))
+                columns[name] = columns[name] + self.noise_of([name])[0] * generator.standard_normal(len(self.first))
         return replace(self, columns=columns)
 
-    def _noise(self, names: Sequence[str]) -> Array:
+    def noise_of(self, names: Sequence[str]) -> Array:
+        """Return the standard deviation of some channels' noise."""
         begins = np.unique(self.first)
         sizes = self.last[begins] + 1 - begins
         deviation = [

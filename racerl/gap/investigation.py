@@ -7,7 +7,7 @@ all windows rank; folds of stretches that are left out decide.
 import copy
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,8 @@ SAMPLED = 3  # every which window screening looks at
 STRETCH = 6  # windows that are held out together
 EVEN = 0.05  # excess over the noise's cost at which an actuator's command counts as rightly timed
 MENDED = 0.2  # share of an excess that a half sample must take away for the command's timing to be looked into
+FAR = 2.0  # prior deviations, beyond which a refitted parameter is a clue in itself
+COG = "cog_longitudinal_offset"  # takes the place of l_f, which is then as weighed
 WIDE = 3.0  # deviation of an effect's parameters, in their usual sizes
 
 
@@ -78,8 +80,8 @@ class Investigation:
         self.vehicle, self.catalogue, self.threads = vehicle, catalogue, threads
         self.limits = dict(limits or {})
         self.unknowns = [
-            Unknown(*row)
-            for row in zip(
+            Unknown(name, start, sigma, *self.limits.get(name, (low, high)))
+            for name, start, sigma, low, high in zip(
                 nominal.names,
                 nominal.start.tolist(),
                 nominal.sigma.tolist(),
@@ -183,7 +185,8 @@ class Investigation:
         return set().union(*(parts[n] for n in parts if n not in stages)) - set().union(*(parts[n] for n in stages))
 
     def _unknowns(self, effects: Names, vehicle: Vehicle) -> list[Unknown]:
-        return [*self.unknowns, *(unknown for name in sorted(effects) for unknown in self._free(vehicle, name))]
+        nominal = [unknown for unknown in self.unknowns if unknown.name != "l_f" or COG not in effects]
+        return [*nominal, *(unknown for name in sorted(effects) for unknown in self._free(vehicle, name))]
 
     def _free(self, vehicle: Vehicle, effect: str) -> list[Unknown]:
         """Return an effect's parameters as unknowns, with wide priors, inside physical bounds or the log's own."""
@@ -218,6 +221,8 @@ class Investigation:
         best: Screened | None = None
         for effect in self._likely(base, name):
             vehicle = with_effect(base.vehicle, name, effect)
+            if name == COG:
+                vehicle = replace_values(vehicle, {"l_f": self.vehicle.l_f})
             stages = self.touched(vehicle, frozenset([name]))
             if not stages:
                 return None
@@ -233,8 +238,13 @@ class Investigation:
         return best
 
     def _likely(self, base: Found, name: str) -> list[Effect]:
-        """Return the starts of an effect; one that lies somewhere starts where errors grow most."""
+        """Return the starts of an effect; one that lies somewhere starts where errors grow most.
+
+        A centre of gravity that is elsewhere starts where the refit put it.
+        """
         starts, evidence = list(self.catalogue[name]), self.evidence.get("chassis")
+        if name == COG and base.vehicle.l_f != self.vehicle.l_f:
+            return [replace(starts[0], **{"offset": base.vehicle.l_f - self.vehicle.l_f})]
         if not placed(name) or evidence is None or not {"x", "y"} <= set(evidence.columns):
             return starts
         found = base if "chassis" in base.initial else self.base
@@ -285,7 +295,7 @@ class Investigation:
     def everywhere(self, found: Found) -> Found:
         """Identify all parameters again, over all stages, with the effects of a fit."""
         names = list(self.evidence)
-        return self._fit(found.effects, found.vehicle, self._start(found, names), REFINE, names)
+        return self._fit(found.effects, found.vehicle, self._start(found, names), NOMINAL, names)
 
     def without(self, base: Found, name: str) -> Found:
         """Fit a vehicle that lacks one effect of a fitted one, over the same stages."""
@@ -339,6 +349,16 @@ class Investigation:
         covariance = found.problem.covariance(found.fit, [self.blocks(name) for name in found.cost])
         deviations = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         return dict(zip(found.problem.names, deviations.tolist(), strict=True))
+
+    def moved(self) -> list[dict[str, Any]]:
+        """Return the vehicle's parameters that the refit took far from where they were configured, or to a bound."""
+        rows = []
+        for unknown in self.base.problem.unknowns:
+            value = self.base.theta[unknown.name]
+            bound = value in (unknown.low, unknown.high)
+            if bound or abs(value - unknown.start) > FAR * unknown.sigma:
+                rows.append({"name": unknown.name, "configured": unknown.start, "refitted": value, "at_bound": bound})
+        return rows
 
     def unfitted(self) -> Found:
         """Return the vehicle as configured, with initial states fitted only."""

@@ -15,6 +15,7 @@ from scipy.stats import false_discovery_control
 from racerl.gap.evidence import COMMANDS, Evidence
 from racerl.gap.growth import growth, segments
 from racerl.gap.investigation import Investigation
+from racerl.gap.kinematics import consistency
 
 Array = NDArray[np.float64]
 HORIZONS = (1, 5, 20, 50, 85)
@@ -188,6 +189,7 @@ def locate(investigation: Investigation, seed: int) -> dict[str, Any]:
     """Return errors, maps and correlations of the refitted vehicle without further effects."""
     errors = investigation.errors(investigation.base)
     everything = maps(investigation, errors, seed)
+    chassis = investigation.evidence.get("chassis")
     return {
         "stages": {
             name: {
@@ -202,4 +204,5 @@ def locate(investigation: Investigation, seed: int) -> dict[str, Any]:
         "maps": everything,
         "where": clues(everything),
         "lags": lags(investigation, errors),
+        "kinematics": consistency(chassis) if chassis else [],
     }

@@ -57,7 +57,9 @@ def score(problem: StageProblem, unknowns: Sequence[Unknown], theta: Mapping[str
     picked = np.zeros((size, len(absent)))
     for k, name in enumerate(absent):
         picked[:, k] = _direction(problem, rollout.names, name, columns)
-    free, known = problem.mixing, [u for u in unknowns if u.name in problem.names]
+    # what stands at a bound cannot give way
+    known = [u for u in unknowns if u.name in problem.names and u.low < theta[u.name] < u.high]
+    free = problem.mixing[:, [problem.names.index(u.name) for u in known]]
     precision = np.array([u.sigma**-2.0 for u in known])
     slope = free.T @ g + precision * np.array([theta[u.name] - u.start for u in known])
     shared = free.T @ H @ picked

@@ -18,6 +18,7 @@ from racerl.gap.name import PARAMETER, Decision, Scored, excesses
 from racerl.gap.score import Score
 
 REAL = 0.05  # excess cost over the noise's that is real: the noise itself is known to a few percent
+CHANCE = 5.0  # deviations of the noise's own cost, a χ², below which an excess may be chance
 LEFT = 0.25  # share of the first excess that may stay behind when the name is right
 CREDIBLE = 0.6  # share of the excess that a name must explain
 COARSE = 30.0  # excess over the noise's cost, beyond which noise is no yardstick: a real car, smoothed sensors
@@ -75,9 +76,16 @@ def open_stage(investigation: Investigation, decision: Decision) -> tuple[str, f
     for name, noise in investigation.floor.items():
         left, first = after[name] / noise, before[name] / noise
         coarse = decision.chosen and left > COARSE
-        if left > REAL and left > LEFT * first and not coarse and left > worst[1]:
+        real = max(REAL, CHANCE * np.sqrt(2.0 / counted(investigation, name)))
+        if left > real and left > LEFT * first and not coarse and left > worst[1]:
             worst = (name, left, first)
     return worst
+
+
+def counted(investigation: Investigation, stage: str) -> int:
+    """Return how many numbers a stage compares."""
+    evidence = investigation.evidence[stage]
+    return evidence.numbers * len(evidence.start)
 
 
 def fitted(investigation: Investigation, decision: Decision) -> tuple[dict[str, float], dict[str, float]]:

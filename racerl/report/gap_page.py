@@ -7,7 +7,7 @@ import jinja2
 
 from racerl.documents import read_json, read_yaml
 from racerl.errors import DocumentError, RunError
-from racerl.gap.diagnose import PROOF, VERDICT
+from racerl.gap.diagnose import LOCATE, PROOF, VERDICT
 from racerl.report.figures import gap_bars, gap_maps, gap_ranking
 from racerl.report.page import figure, provenance, write_page
 from racerl.run import CONFIG, RunFolder
@@ -18,7 +18,7 @@ def draw_gap(run: Path) -> Path:
     folder = RunFolder.open_complete(run, "gap")
     try:
         facts = read_json(folder.path / VERDICT)
-        proof = read_json(folder.path / PROOF) if facts["gap"] else None
+        proof, located = (read_json(folder.path / name) if facts["gap"] else None for name in (PROOF, LOCATE))
         figures = [
             figure(folder.path / f"{name}.svg", title, caption, svg)
             for name, title, caption, svg in _drawn(facts, proof)
@@ -29,6 +29,7 @@ def draw_gap(run: Path) -> Path:
             "gap_page.html.j2",
             facts=facts,
             proof=proof,
+            kinematics=located["kinematics"] if located else [],
             figures=figures,
             horizon=read_yaml(folder.path / CONFIG)["window"],
             provenance=provenance(folder.manifest),

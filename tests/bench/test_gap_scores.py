@@ -17,9 +17,7 @@ def case(truth, verdict, found=(), rivals=(), kind="single", size="medium", prog
     delay = {"value": 0.05, "unit": "s", "ci95": [0.039, 0.06]}
     told = {
         "verdict": verdict,
-        "effects": [
-            {"name": n, "parameters": {"delay": {"value": 0.05, "unit": "s", "ci95": [0.039, 0.06]}}} for n in found
-        ],
+        "effects": [{"name": n, "parameters": {"delay": delay}} for n in found],
         "ambiguous_with": list(rivals),
         "gap": {"explained": 0.9},
     }

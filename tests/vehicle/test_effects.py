@@ -279,8 +279,14 @@ def test_sag_droop_and_split():
     pushing = {"v_x": 2.0, "omega": 2.3}
     assert change("drive_load_droop", (0.0, 3.0), {"droop": 0.2}, **pushing)["omega"] < -1.0
     turning = {**pushing, "delta": 0.2, "v_y": 0.1, "yaw_rate": 1.0}
-    pulled, pushed = (change("drive_split", (0.0, 3.0), {"front": q}, **turning) for q in (1.0, 0.0))
-    assert pulled["yaw_rate"] > 0.0 and pulled["yaw_rate"] > pushed["yaw_rate"] + 1.0
+    command = torch.tensor([0.0, 3.0], dtype=torch.float64)[:, None]
+    apart = [
+        float(car.derivative(states(car, **turning), command, TORCH)[-1])
+        for car in (with_effect("drive_split", front=q) for q in (1.0, 0.0))
+    ]
+    assert apart[0] > 1.0 and apart[1] < -1.0  # the axle that should carry all of it runs ahead
+    ahead = change("drive_split", (0.0, 3.0), {"front": 0.5}, **turning, drive_split__apart=0.3)
+    assert ahead["yaw_rate"] > 1.0  # the front axle pulls the nose in
     lateral = change("cog_lateral_offset", (0.0, 3.0), {"offset": 0.01}, **pushing)
     assert lateral["yaw_rate"] < 0.0
 
