@@ -183,14 +183,16 @@ def gap(
     Locates the gap, names the missing effect, adds it and proves it on held-out windows. Groups: data vehicle. Writes
     verdict.json, model.yaml, which every command takes as vehicle=, and report.html.
 
-    racerl gap plan drive.csv.gz only says which effects the log could tell apart, and what to drive next.
+    racerl gap plan drive.csv.gz only says which effects the log could tell apart, and what to drive next;
+    without a log, it says so of the excitation programme that racerl record drives.
     racerl gap close outputs/gap/first real=FILE trains and races with and without what was found.
     """
     words = [*(arguments or []), *([f"out={out}"] if out else [])]
     if words[:1] == ["close"]:
         _run("close", words[1:], _close, positional="run")
     elif words[:1] == ["plan"]:
-        _run("gap", words[1:], _plan, positional="logs")
+        given = any("=" not in word for word in words[1:])
+        _run("gap", words[1:] if given else ["logs=[]", *words[1:]], _plan, positional="logs")
     else:
         _run("gap", words, _gap, positional="logs")
 
@@ -338,6 +340,7 @@ def _close(settings: "Settings", out: Path) -> None:
 
 
 def _plan(settings: "Settings", out: Path) -> None:
+    from racerl.config import compose_settings
     from racerl.console import Bar
     from racerl.documents import write_text
     from racerl.gap.plan import PLAN, plan
@@ -345,10 +348,11 @@ def _plan(settings: "Settings", out: Path) -> None:
 
     console = _console()
     with Bar(console, "plan") as bar:
-        facts = plan(settings, out, lambda what, share: bar.show(share, what))
+        facts = plan(settings, out, compose_settings, lambda what, share: bar.show(share, what))
     write_text(out / "separability.svg", separability.draw(facts))
     dark = [name for name, effect in facts["effects"].items() if not effect["shows"]]
-    lines = [f"{len(dark)} of {len(facts['effects'])} effects would not show at their usual size: {', '.join(dark)}"]
+    lines = [", ".join(f"{log['name']}, {log['seconds']:.0f} s" for log in facts["logs"])]
+    lines += [f"{len(dark)} of {len(facts['effects'])} effects would not show at their usual size: {', '.join(dark)}"]
     lines += [f"alike: {' and '.join(row['effects'])} (cosine {row['cosine']:+.3f})" for row in facts["alike"][:PAIRS]]
     lines += [f"drive next: {row['drive']} (for {', '.join(row['for'])})" for row in facts["next"]]
     for line in [*lines, f"numbers in {out / PLAN}, picture in {out / 'separability.svg'}"]:

@@ -4,33 +4,43 @@ The score test's matrix H over the effects' presences, nominal and initial-state
 its diagonal is the χ² by which an effect of its usual size would show, its cosines how alike two effects look.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from racerl.data.load import load_given
+from racerl.data.log import Log
 from racerl.documents import write_json
 from racerl.errors import LogError
 from racerl.gap.diagnose import check, cut, excitations, investigate
 from racerl.gap.score import Score
 from racerl.gap.verdict import SHOWS
+from racerl.record.record import Plan, table
 from racerl.run import RunFolder
 from racerl.vehicle.load import load_vehicle
 
 PLAN = "plan.json"
 ALIKE = 0.95  # |cosine| above which two effects cannot be told apart by a linear test
 NEXT = 5  # manoeuvres that are proposed
+SECONDS = 300  # of the programme, where no log is given
+Compose = Callable[[str, Sequence[str]], dict[str, Any]]  # settings of another stage, from its name and overrides
 
 
 def plan(
-    settings: Mapping[str, Any], out: Path, on_progress: Callable[[str, float], None] = lambda what, share: None
+    settings: Mapping[str, Any],
+    out: Path,
+    compose: Compose,
+    on_progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> dict[str, Any]:
-    """Write plan.json about the logs of `settings`; raise LogError where they hold no stretch of driving."""
+    """Write plan.json about the logs of `settings`, or about the excitation programme if there are none.
+
+    Raises LogError where the logs hold no stretch of driving.
+    """
     check(settings)
     vehicle = load_vehicle(settings["vehicle"])
-    logs = load_given(settings)
+    logs = load_given(settings) if settings["logs"] else [programme(settings, compose)]
     evidence = cut(logs, settings)
     if not evidence:
         raise LogError("the logs hold no stretch of driving long enough to compare; give longer ones")
@@ -38,10 +48,16 @@ def plan(
     on_progress("refitting the vehicle", 0.1)
     investigation = investigate(evidence, logs, vehicle, settings)
     on_progress("what the log could tell", 0.8)
-    facts = telling(investigation.score(investigation.base))
+    facts = {"logs": [log.facts() for log in logs], **telling(investigation.score(investigation.base))}
     write_json(folder.path / PLAN, facts)
     folder.finish()
     return facts
+
+
+def programme(settings: Mapping[str, Any], compose: Compose) -> Log:
+    """Return what the configured vehicle's sensors would show of the excitation programme."""
+    drive = {**compose("record", [f"seconds={SECONDS}", f"seed={settings['seed']}"]), "vehicle": settings["vehicle"]}
+    return Log.from_table("the excitation programme", table(Plan.of(drive).drive(), **drive["smoothing"]))
 
 
 def telling(score: Score) -> dict[str, Any]:

@@ -149,7 +149,22 @@ def test_a_log_without_driving_gives_no_guess(clean, tmp_path):
     assert load_vehicle({"file": str(tmp_path / "out" / "model.yaml")}).effects == {}
     assert "under excited" in draw_gap(tmp_path / "out").read_text()
     with pytest.raises(LogError, match="no stretch of driving"):
-        plan(settings_for(parked, tmp_path), tmp_path / "plan")
+        plan(settings_for(parked, tmp_path), tmp_path / "plan", compose_settings)
+
+
+@needs_compiler
+def test_without_a_log_the_plan_is_that_of_the_programme(tmp_path, monkeypatch):
+    monkeypatch.setattr("racerl.gap.plan.SECONDS", 90)
+    known = ("yaw_damping", "aero_drag", "viscous_drag")
+    without = [name for name in catalogue.names() if name not in known]
+    settings = {**compose_settings("gap", ["logs=[]", "vehicle=published"]), "without": without}
+    facts = plan(settings, tmp_path / "out", compose_settings)
+    assert facts["logs"][0]["seconds"] == pytest.approx(90, abs=10) and set(facts["effects"]) == set(known)
+    assert all(effect["shows"] for effect in facts["effects"].values())
+    cosines = np.abs(np.array(facts["cosines"]))
+    damping, aero, viscous = (list(facts["effects"]).index(name) for name in known)
+    assert cosines[aero, viscous] > 0.8 > cosines[damping, aero]
+    assert read_json(tmp_path / "out" / "plan.json") == facts
 
 
 @pytest.mark.parametrize(

@@ -286,7 +286,7 @@ def test_sag_droop_and_split():
     ]
     assert apart[0] > 0.5 and apart[1] < -0.5  # the axle that should carry all of it runs ahead
     ahead = change("drive_split", (0.0, 3.0), {"front": 0.5}, **turning, drive_split__apart=0.3)
-    assert ahead["yaw_rate"] > 1.0  # the front axle pulls the nose in
+    assert ahead["yaw_rate"] > 0.5  # the front axle pulls the nose in
     lateral = change("cog_lateral_offset", (0.0, 3.0), {"offset": 0.01}, **pushing)
     assert lateral["yaw_rate"] < 0.0
 
