@@ -185,11 +185,12 @@ def gap(
 
     racerl gap plan drive.csv.gz only says which effects the log could tell apart, and what to drive next;
     without a log, it says so of the excitation programme that racerl record drives.
-    racerl gap close outputs/gap/first real=FILE trains and races with and without what was found.
+    racerl gap close drive.csv.gz real=FILE (or the folder of a finished racerl gap) trains without and with what was
+    found, and races both, and a policy that knew, in the car of that file.
     """
     words = [*(arguments or []), *([f"out={out}"] if out else [])]
     if words[:1] == ["close"]:
-        _run("close", words[1:], _close, positional="run")
+        _run("close", words[1:], _close, positional="logs")
     elif words[:1] == ["plan"]:
         given = any("=" not in word for word in words[1:])
         _run("gap", words[1:] if given else ["logs=[]", *words[1:]], _plan, positional="logs")

@@ -11,7 +11,7 @@ from typing import Any
 from racerl.documents import read_json, write_json
 from racerl.errors import ConfigError
 from racerl.evaluate.evaluate import METRICS, evaluate
-from racerl.gap.diagnose import MODEL, MODEL_BEFORE, VERDICT
+from racerl.gap.diagnose import MODEL, MODEL_BEFORE, VERDICT, gap
 from racerl.run import RunFolder, is_complete
 from racerl.train.train import train
 
@@ -28,17 +28,20 @@ def close(
 ) -> dict[str, Any]:
     """Train and race the three policies; return what was written to close.json.
 
-    Raises RunError for a run that is no finished diagnosis, ConfigError where it named nothing to add.
+    Raises RunError for a run that is no finished diagnosis, ConfigError where nothing was named that could be added.
     """
-    found = RunFolder.open_complete(Path(settings["run"]), "gap")
-    verdict = read_json(found.path / VERDICT)
-    if not verdict["effects"]:
-        raise ConfigError(
-            f"run = {settings['run']}: its verdict is {verdict['verdict']}, there is no effect to train with"
-        )
-    cars = {"old": found.path / MODEL_BEFORE, "new": found.path / MODEL, "oracle": settings["real"]}
-    words = [str(word) for word in settings["train"]]
+    logs = [settings["logs"]] if isinstance(settings["logs"], str) else list(settings["logs"])
+    finished = len(logs) == 1 and Path(logs[0]).is_dir()
+    if finished:
+        _verdict(Path(logs[0]))
     folder = RunFolder.start(out, "close", settings, threads=settings["threads"])
+    found = Path(logs[0]) if finished else folder.path / "gap"
+    if not finished and not is_complete(found):
+        words = [f"logs={logs}", f"threads={settings['threads']}", *map(str, settings["gap"])]
+        gap(compose("gap", words), found, lambda what, share: on_progress(0.0, what))
+    verdict = _verdict(found)
+    cars = {"old": found / MODEL_BEFORE, "new": found / MODEL, "oracle": settings["real"]}
+    words = [str(word) for word in settings["train"]]
     rows = {}
     for i, (kind, car) in enumerate(cars.items()):
         on_progress(i / 3, f"{kind}: training")
@@ -58,6 +61,14 @@ def close(
     write_json(folder.path / RESULT, facts)
     folder.finish()
     return facts
+
+
+def _verdict(run: Path) -> dict[str, Any]:
+    """Return the verdict of a finished diagnosis; raise ConfigError where it holds no effect."""
+    verdict = read_json(RunFolder.open_complete(run, "gap").path / VERDICT)
+    if not verdict["effects"]:
+        raise ConfigError(f"{run}: its verdict is {verdict['verdict']}, there is no effect to train with")
+    return verdict
 
 
 def recovered(old: float | None, new: float | None, oracle: float | None) -> float | None:

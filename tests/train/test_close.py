@@ -24,7 +24,7 @@ def diagnosed(tmp_path):
 
 
 def settings_of(run, **changes):
-    words = [f"run={run}", "real=published", "train=['budget=smoke']", "laps=1", "seeds=[0]", "threads=1"]
+    words = [f"logs=['{run}']", "real=published", "train=['budget=smoke']", "laps=1", "seeds=[0]", "threads=1"]
     return {**compose_settings("close", words), **changes}
 
 
