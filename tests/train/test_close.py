@@ -1,6 +1,7 @@
 """Three policies are trained and raced in the car that the log came from."""
 
 import json
+import shutil
 
 import pytest
 
@@ -43,6 +44,20 @@ def test_three_policies_race_in_one_car_and_a_second_start_goes_on(diagnosed, tm
     assert str(masses["old"][0]).endswith("model_before.yaml") or masses["old"][0] == 5.0
     with pytest.raises(RunError, match="already holds"):
         close(settings_of(diagnosed), tmp_path / "out", compose_settings)
+
+
+def test_logs_are_diagnosed_first(diagnosed, tmp_path, monkeypatch):
+    asked = []
+
+    def diagnose(settings, out, on_progress):
+        asked.append(settings["logs"])
+        shutil.copytree(diagnosed, out)
+
+    monkeypatch.setattr("racerl.train.close.gap", diagnose)
+    settings = {**settings_of("drive.csv.gz"), "gap": ["vehicle=published"]}
+    facts = close(settings, tmp_path / "out", compose_settings)
+    assert asked == [["drive.csv.gz"]] and facts["effects"] == ["aero_drag"]
+    assert (tmp_path / "out" / "gap" / "model.yaml").is_file()
 
 
 def test_without_an_effect_there_is_nothing_to_train_with(diagnosed, tmp_path):
