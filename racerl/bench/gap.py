@@ -195,10 +195,13 @@ def share(count: int, total: int) -> dict[str, Any]:
 
 
 def confusion(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, int]]:
-    """Return how often each hidden effect was called what; a verdict without a name goes by the verdict's own."""
+    """Return how often each hidden effect was called what; a verdict without a name goes by the verdict's own.
+
+    Logs too poor to show anything, and those of two-track cars, have rows of their own among the scores.
+    """
     table: dict[str, Counter[str]] = {}
     for row in rows:
-        if len(row["truth"]) <= 1:
+        if len(row["truth"]) <= 1 and row["set"] not in ("poor", "structure"):
             said = " + ".join(sorted(row["found"])) if row["verdict"] in NAMED else row["verdict"]
             table.setdefault(row["truth"][0] if row["truth"] else row["set"], Counter())[said] += 1
     return {name: dict(counts) for name, counts in sorted(table.items())}
