@@ -177,13 +177,16 @@ class Vehicle:
 
     def slips(self, motion: Motion, ops: Ops) -> Slips:
         """Return the steady-state slips of both axles."""
-        sin_delta, cos_delta = ops.sin(motion.delta), ops.cos(motion.delta)
-        lateral_f = motion.v_y + self.arm * motion.yaw_rate
-        V_xf = motion.v_x * cos_delta + lateral_f * sin_delta
-        V_yf = lateral_f * cos_delta - motion.v_x * sin_delta
+        V_xf, V_yf = self.front_velocity(motion, ops)
         V_yr = motion.v_y - self.l_r * motion.yaw_rate
         V_f, V_r = self.slip_speed(V_xf, ops), self.slip_speed(motion.v_x, ops)
         return Slips((motion.omega - V_xf) / V_f, -V_yf / V_f, (motion.omega - motion.v_x) / V_r, -V_yr / V_r)
+
+    def front_velocity(self, motion: Motion, ops: Ops) -> tuple[Scalar, Scalar]:
+        """Return the front axle's velocity along and across its wheels."""
+        sin_delta, cos_delta = ops.sin(motion.delta), ops.cos(motion.delta)
+        lateral = motion.v_y + self.arm * motion.yaw_rate
+        return motion.v_x * cos_delta + lateral * sin_delta, lateral * cos_delta - motion.v_x * sin_delta
 
     def slip_speed(self, V_x: Scalar, ops: Ops) -> Scalar:
         """Return |V_x|, smoothly bounded below by v_0/2."""

@@ -30,7 +30,7 @@ class CogLateralOffset(Effect):
         """Let the axles' middles move at v_x − e r."""
         car, slower = motion.car, self.offset * motion.yaw_rate
         cos_delta, sin_delta = ops.cos(motion.delta), ops.sin(motion.delta)
-        V_xf = motion.v_x * cos_delta + (motion.v_y + car.arm * motion.yaw_rate) * sin_delta
+        V_xf, _ = car.front_velocity(motion, ops)
         front, rear = slower / car.slip_speed(V_xf, ops), slower / car.slip_speed(motion.v_x, ops)
         return slips._replace(
             kappa_f=slips.kappa_f + front * cos_delta,

@@ -34,8 +34,7 @@ class DriveSplit(Effect):
     def slip(self, slips: "Slips", motion: "Motion", ops: Ops) -> "Slips":
         """Turn the front axle faster and the rear one slower by Δ."""
         car, apart = motion.car, motion.own[self.key("apart")]
-        lateral = motion.v_y + car.arm * motion.yaw_rate
-        V_xf = motion.v_x * ops.cos(motion.delta) + lateral * ops.sin(motion.delta)
+        V_xf, _ = car.front_velocity(motion, ops)
         return slips._replace(
             kappa_f=slips.kappa_f + apart / car.slip_speed(V_xf, ops),
             kappa_r=slips.kappa_r - apart / car.slip_speed(motion.v_x, ops),
