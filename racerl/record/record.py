@@ -22,6 +22,7 @@ from racerl.errors import ConfigError
 from racerl.record.drivers import Drive, Measured, Pose, Scene, create_driver
 from racerl.record.hidden import Hidden
 from racerl.record.sensors import Sensors
+from racerl.record.shown import as_shown
 from racerl.record.simulate import Recording, simulate
 from racerl.registry import construct
 from racerl.run import RunFolder
@@ -82,7 +83,7 @@ class Plan:
 
     def drive(self, on_progress: Callable[[float], None] = lambda share: None) -> Recording:
         """Drive; a plan is good for one drive, since its generators move on."""
-        return simulate(
+        recording = simulate(
             self.vehicle,
             self.pose,
             self.driving,
@@ -92,6 +93,7 @@ class Plan:
             generator=self.noise,
             on_progress=on_progress,
         )
+        return as_shown(self.vehicle, recording)
 
 
 def record(

@@ -17,6 +17,7 @@ from racerl.vehicle.parameter import values
 from tests.record.conftest import drive
 
 SHORT = ["drive=race", "seconds=3"]
+QUIET = [f"car.sensors.{name}=0" for name in ("position", "yaw", "delta", "omega", "current")]
 
 
 def test_the_noise_is_what_was_asked_for(programme):
@@ -27,9 +28,30 @@ def test_the_noise_is_what_was_asked_for(programme):
 
 
 def test_sensors_can_be_perfect():
-    quiet = [f"car.sensors.{name}=0" for name in ("position", "yaw", "delta", "omega", "current")]
-    recording, log = drive(*SHORT, *quiet)
+    recording, log = drive(*SHORT, *QUIET)
     assert np.array_equal(log[["x", "y", "yaw", "delta", "omega"]], recording.truth[:, [0, 1, 2, 6, 7]])
+
+
+def test_sensors_show_their_flaws_while_the_car_stays_the_same():
+    flaws = ["lever_arm", "wheel_speed_gain", "pose_latency"]
+    words = ["lever_arm.forward=0.1", "lever_arm.left=0.0", "wheel_speed_gain.gain=1.05", "pose_latency.latency=0.025"]
+    true, plain = drive(*SHORT, *QUIET)
+    same, log = drive(
+        *SHORT, *QUIET, f"+vehicle/effect=[{','.join(flaws)}]", *(f"vehicle.effects.{word}" for word in words)
+    )
+    assert np.array_equal(same.truth, true.truth)
+    assert np.allclose(log["omega"], 1.05 * plain["omega"]) and np.array_equal(log["delta"], plain["delta"])
+    ahead = plain["x"] + 0.1 * np.cos(plain["yaw"])
+    late = 0.5 * (ahead.shift(2) + ahead.shift(3))  # 2.5 samples
+    assert np.abs(log["x"] - late)[3:].max() < 1e-5 and log["x"][0] == ahead[0]
+
+
+def test_late_stamps_move_every_channel_on_board_alike():
+    offset = ["+vehicle/effect=command_timestamp_offset", "vehicle.effects.command_timestamp_offset.latency=0.03"]
+    (_, plain), (_, log) = drive(*SHORT, *QUIET), drive(*SHORT, *QUIET, *offset)
+    for name in ("delta", "omega", "delta_ref", "omega_ref"):
+        assert np.allclose(log[name][3:], plain[name].shift(3)[3:]), name
+    assert np.array_equal(log["yaw"], plain["yaw"])
 
 
 def test_a_sensor_needs_a_standard_deviation():
@@ -139,8 +161,8 @@ def test_an_interrupted_drive_leaves_no_log(tmp_path):
     [
         (["drive=programm"], "programme"),
         (["drive.blok=3"], "drive.block"),
-        (["drive.block=1"], "allowed is 5"),
-        (["drive=race", "drive.share=3"], "allowed is 0.05"),
+        (["drive.block=1"], "allowed is a number, 5"),
+        (["drive=race", "drive.share=3"], "allowed is a number, 0.05"),
         (["rate=5"], "rate = 5"),
         (["seconds=-1"], "seconds = -1"),
         (["seed=0.5"], "seed = 0.5"),
