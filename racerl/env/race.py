@@ -18,6 +18,7 @@ from racerl.env.dice import Dice
 from racerl.env.observations import OBSERVATION_LIMIT, Observation
 from racerl.env.randomize import ParameterDraws, Randomization
 from racerl.env.reward import progress_reward
+from racerl.env.sensing import samples, seen, shown
 from racerl.env.termination import STOP_SPEED, OffTrack, Termination
 from racerl.errors import ConfigError
 from racerl.track.frenet import Foot, FrenetFrame, wrap_angle
@@ -38,6 +39,7 @@ KEPT = (
     "command",
     "command_rate",
     "history",
+    "shown",
     "s",
     "n",
     "heading",
@@ -112,7 +114,8 @@ class View(Rows):
     @classmethod
     def of(cls, race: "Race", cars: Tensor | None) -> "View":
         """Return the view of all cars, or of the cars of these numbers."""
-        tensors = (race.state, race.command, race.command_rate, race.s, race.offset, race.heading)
+        state, s, offset, heading = race.seen()
+        tensors = (state, race.command, race.command_rate, s, offset, heading)
         if cars is not None:
             tensors = tuple(t.index_select(t.ndim - 1, cars) for t in tensors)  # type: ignore[assignment]
         return cls(*tensors, race.frame, race.action, race.constant)
@@ -161,6 +164,8 @@ class Race(Rows):
         self.command = torch.zeros(2, self.count, device=self.device, dtype=self.dtype)
         # the latest commands, newest first, as far as any acts late
         self.history = torch.zeros(late + 1 if late else 0, 2, self.count, device=self.device, dtype=self.dtype)
+        # what sensors showed, newest first, where they do not show the truth at once
+        self.shown = self.state.new_zeros(samples(self.vehicle, self.timing.dt), len(STATE), self.count)
         self.command_rate, self.s, self.n, self.heading = zeros, zeros, zeros, zeros
         self.margin, self.offset, self.still_time = zeros, zeros, zeros
         self.travelled = zeros.double()  # m along the centreline, unwrapped since the episode's start
@@ -173,6 +178,15 @@ class Race(Rows):
         if key not in self._constants:
             self._constants[key] = torch.tensor(key, device=self.device, dtype=self.dtype)
         return self._constants[key]
+
+    def seen(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return states (S, N), places, offsets and headings (N,) as the driver's sensors show them."""
+        if not len(self.shown):
+            return self.state, self.s, self.offset, self.heading
+        state = seen(self._drawn(), self.shown, self.timing.dt)
+        foot = self.frame.project(state[X], state[Y], self.s)
+        middle, _ = self.frame.lookup(foot.s, self.frame.middle, self.frame.half_width)
+        return state, foot.s, foot.n - middle, wrap_angle(state[YAW] - foot.yaw)
 
     def observe(self, cars: Tensor | None = None) -> Tensor:
         """Return the observation (N, O), inside ± OBSERVATION_LIMIT, or that of the cars of these numbers (K,)."""
@@ -220,12 +234,16 @@ class Race(Rows):
         if len(self.history):
             self.history = torch.cat([self.command[None], self.history[:-1]])
 
+    def _drawn(self, cars: Tensor | None = None) -> Vehicle:
+        """Return the vehicle with every car's own parameters, or those of the cars of these numbers (K,)."""
+        drawn = self.draws.values if cars is None else self.draws.values[:, cars]
+        return replace_values(self.vehicle, dict(zip(self.draws.names, drawn.unbind(0), strict=True)))
+
     def _drive(self) -> Tensor:
         """Return the states after one control period."""
         if not len(self.history):
             return self.motion(self.state, self.command, self.draws.values)
-        drawn = dict(zip(self.draws.names, self.draws.values.unbind(0), strict=True))
-        delays = replace_values(self.vehicle, drawn).delays()
+        delays = self._drawn().delays()
         state, step = self.state, self.timing.step
         for number in range(self.timing.substeps):
             acting = delayed(self.history.unbind(0), delays, number * step, step, self.timing.dt, TORCH)
@@ -241,6 +259,8 @@ class Race(Rows):
             # the state before may be broken too; the car is started over after this step
             moved = torch.where(faulty, self.state.nan_to_num(0.0, 0.0, 0.0), moved)
         self.state = moved
+        if len(self.shown):
+            self.shown = torch.cat([shown(self._drawn(), moved)[None], self.shown[:-1]])
         self.age = self.age + 1
         last = self.s
         self._locate()
@@ -282,6 +302,9 @@ class Race(Rows):
         self.command_rate = self.command_rate.index_fill(0, cars, 0.0)
         if len(self.history):
             self.history = self.history.index_copy(2, cars, command.expand(len(self.history), -1, -1))
+        if len(self.shown):
+            first = shown(self._drawn(cars), state).to(self.dtype)
+            self.shown = self.shown.index_copy(2, cars, first.expand(len(self.shown), -1, -1))
         self.still_time = self.still_time.index_fill(0, cars, 0.0)
         self.age = self.age.index_fill(0, cars, 0)
         self.s, self.n = self.s.index_copy(0, cars, foot.s), self.n.index_copy(0, cars, foot.n)
