@@ -21,7 +21,7 @@ from racerl.gap.investigation import COG, FAR, Found, Investigation
 from racerl.gap.locate import locate
 from racerl.gap.name import Decision, intervals, name_effects
 from racerl.gap.prove import prove
-from racerl.gap.stage import stages
+from racerl.gap.stage import CHAIN, stages
 from racerl.gap.verdict import Verdict, judge
 from racerl.identify.document import write_model
 from racerl.identify.unknowns import choose_unknowns
@@ -68,7 +68,8 @@ def gap(settings: Mapping[str, Any], out: Path, on_progress: OnProgress = lambda
         write_text(folder.path / MODEL, yaml.safe_dump(vehicle_document(settings["vehicle"], {}, "wheel_speed")))
     else:
         investigation = investigate(evidence, logs, vehicle, settings)
-        facts, found = _steps(investigation, settings, folder.path, told, on_progress)
+        whole = chain(logs, settings)
+        facts, found = _steps(investigation, whole, settings, folder.path, told, on_progress)
         _write_vehicle(folder.path / MODEL, settings, facts, investigation, found)
         _write_vehicle(folder.path / MODEL_BEFORE, settings, facts, investigation, investigation.base)
     write_json(folder.path / VERDICT, facts)
@@ -91,6 +92,14 @@ def cut(logs: Sequence[Log], settings: Mapping[str, Any]) -> dict[str, Evidence]
     chain = stages(channels_of(logs))
     found = [Evidence.of(logs, stage, settings["window"], settings["slowest"]) for stage in chain]
     return {each.stage.name: each for each in found if each is not None and len(each.start) >= FEWEST}
+
+
+def chain(logs: Sequence[Log], settings: Mapping[str, Any]) -> Evidence | None:
+    """Return the windows of the whole chain; None where it is no longer than the chassis, or too short."""
+    if not {"delta", "omega"} <= channels_of(logs):
+        return None
+    found = Evidence.of(logs, CHAIN, settings["window"], settings["slowest"])
+    return found if found is not None and len(found.start) >= FEWEST else None
 
 
 def investigate(
@@ -128,6 +137,7 @@ def _list(value: Any) -> list[str]:
 
 def _steps(
     investigation: Investigation,
+    whole: Evidence | None,
     settings: Mapping[str, Any],
     folder: Path,
     told: Mapping[str, Any],
@@ -136,7 +146,7 @@ def _steps(
     """Carry out the four steps; return the verdict's document and the refitted vehicle with what was named."""
     seed = settings["seed"]
     on_progress("locate", 0.1)
-    located = _once(folder / LOCATE, lambda: locate(investigation, seed))
+    located = _once(folder / LOCATE, lambda: locate(investigation, whole, seed))
     decision = name_effects(investigation, seed, lambda what, share: on_progress(f"name: {what}", 0.15 + 0.75 * share))
     verdict = judge(investigation, decision)
     on_progress("add", 0.9)

@@ -360,6 +360,14 @@ class Investigation:
                 rows.append({"name": unknown.name, "configured": unknown.start, "refitted": value, "at_bound": bound})
         return rows
 
+    def outcome(self, evidence: Evidence, seed: int) -> tuple[Array, Array]:
+        """Return the errors (T + 1, C, W) of the refitted vehicle over a stage that was not fitted, and the noise's."""
+        noise = evidence.noise()
+        kernels = StageKernels(evidence, self.base.vehicle, [], {})
+        stage = StageProblem.of(evidence, kernels, self.base.vehicle, [], noise, self.threads)
+        (initial,) = Problem([stage], []).fit({}, iterations=REFINE).initial
+        return stage.errors({}, initial), expected_errors(stage, {}, initial, noise, seed)
+
     def unfitted(self) -> Found:
         """Return the vehicle as configured, with initial states fitted only."""
         return self._fit(frozenset(), self.vehicle, self.base, REFINE, free=())

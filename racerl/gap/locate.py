@@ -185,8 +185,14 @@ def _correlation(one: Array, other: Array) -> float:
     return float((a * b).sum() / np.sqrt(max((a * a).sum() * (b * b).sum(), 1e-300)))
 
 
-def locate(investigation: Investigation, seed: int) -> dict[str, Any]:
-    """Return errors, maps and correlations of the refitted vehicle without further effects."""
+def _chain(investigation: Investigation, whole: Evidence, seed: int) -> dict[str, Any]:
+    """Return errors by horizon where the commands drive: what the links add up to."""
+    errors, floor = investigation.outcome(whole, seed)
+    return {"channels": list(whole.observed), "errors": horizons(errors), "floor": horizons(floor)}
+
+
+def locate(investigation: Investigation, whole: Evidence | None, seed: int) -> dict[str, Any]:
+    """Return errors, maps and correlations of the refitted vehicle without further effects; `whole`: of the chain."""
     errors = investigation.errors(investigation.base)
     everything = maps(investigation, errors, seed)
     chassis = investigation.evidence.get("chassis")
@@ -204,5 +210,6 @@ def locate(investigation: Investigation, seed: int) -> dict[str, Any]:
         "maps": everything,
         "where": clues(everything),
         "lags": lags(investigation, errors),
+        "chain": _chain(investigation, whole, seed) if whole else None,
         "kinematics": consistency(chassis) if chassis else [],
     }

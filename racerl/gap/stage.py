@@ -4,6 +4,8 @@
     drive     command → measured wheel speed
     chassis   measured steering angle and wheel speed → pose and velocities
 
+The whole chain, from the commands to the motion, is looked at, too, but decides nothing.
+
 What a stage takes as input is known as it was logged: sensors are undone on measured inputs (the inverse of
 `Vehicle.measured`, by fixed-point iteration), and only differences of timing matter. With τ = delay of the input +
 latency of the outputs − latency of the input, input i acts as u_i(t − τ_i). Inputs are shifted to the current τ ahead
@@ -52,6 +54,7 @@ class Stage:
 STEERING = Stage("steering", ("delta_ref", "omega"), ("delta",))
 DRIVE = Stage("drive", ("delta", "omega_ref"), ("omega",))
 CHASSIS = Stage("chassis", ("delta", "omega"), ("x", "y", "yaw", "v_x", "v_y", "yaw_rate"))
+CHAIN = replace(CHASSIS, name="chain", inputs=("delta_ref", "omega_ref"))
 
 
 def stages(channels: Collection[str]) -> tuple[Stage, ...]:

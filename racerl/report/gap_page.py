@@ -29,7 +29,7 @@ def draw_gap(run: Path) -> Path:
             "gap_page.html.j2",
             facts=facts,
             proof=proof,
-            kinematics=located["kinematics"] if located else [],
+            located=located,
             figures=figures,
             horizon=read_yaml(folder.path / CONFIG)["window"],
             provenance=provenance(folder.manifest),

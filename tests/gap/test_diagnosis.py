@@ -79,8 +79,23 @@ def test_the_vehicle_file_holds_the_effect_and_is_one_that_every_command_takes(d
 
 
 @needs_compiler
+def test_a_consistent_log_is_found_consistent_and_the_chain_adds_up(diagnosis):
+    located = read_json(diagnosis.out / "locate.json")
+    rows = {row["what"].split(",")[0].split(" by ")[0]: row for row in located["kinematics"]}
+    for what in ("displacement", "turning"):
+        assert 0.5 * rows[what]["expected"] < rows[what]["value"] < 1.5 * rows[what]["expected"], what
+    assert rows["wheel speed over speed on straights"]["value"] == pytest.approx(1.0, abs=0.02)
+    assert 0.0 < rows["yaw rate behind the steering angle"]["value"] < 0.15
+    chain, links = located["chain"], located["stages"]["chassis"]
+    assert chain["channels"] == links["channels"]
+    late, floor = (np.array(chain[key]["85"]) for key in ("errors", "floor"))
+    assert (late > 0.5 * floor).all() and (late > 1.5 * floor).any()  # the damping is not in the vehicle yet
+
+
+@needs_compiler
 def test_the_page_shows_verdict_and_pictures(diagnosis):
     page = draw_gap(diagnosis.out).read_text()
+    assert "The whole chain" in page and "Kinematic consistency" in page
     assert "yaw_damping" in page and page.count("data:image/svg+xml") in (2, 3)
     with pytest.raises(RunError, match="choose another out="):
         gap(diagnosis.settings, diagnosis.out)
