@@ -8,12 +8,14 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from racerl.data.load import load_given
 from racerl.documents import read_json, write_json
 from racerl.errors import ConfigError
 from racerl.evaluate.evaluate import METRICS, evaluate
 from racerl.gap.diagnose import MODEL, MODEL_BEFORE, VERDICT, gap
 from racerl.run import RunFolder, is_complete
 from racerl.train.train import train
+from racerl.vehicle.load import load_vehicle
 
 RESULT = "close.json"
 SHOWN = ("mean_lap_s", "fastest_valid_lap_s", "e_off", "crash_share", "laps", "valid_laps")
@@ -32,22 +34,26 @@ def close(
     """
     logs = [settings["logs"]] if isinstance(settings["logs"], str) else list(settings["logs"])
     finished = len(logs) == 1 and Path(logs[0]).is_dir()
+    diagnosis = compose("gap", [f"logs={logs}", f"threads={settings['threads']}", *map(str, settings["gap"])])
+    words = [*map(str, settings["train"]), f"threads={settings['threads']}"]
+    # what cannot be read is told before anything is written
+    load_vehicle(compose("train", [f"vehicle={settings['real']}", *words])["vehicle"])
     if finished:
         _verdict(Path(logs[0]))
+    else:
+        load_given(diagnosis)
     folder = RunFolder.start(out, "close", settings, threads=settings["threads"])
     found = Path(logs[0]) if finished else folder.path / "gap"
     if not finished and not is_complete(found):
-        words = [f"logs={logs}", f"threads={settings['threads']}", *map(str, settings["gap"])]
-        gap(compose("gap", words), found, lambda what, share: on_progress(0.0, what))
+        gap(diagnosis, found, lambda what, share: on_progress(0.0, what))
     verdict = _verdict(found)
     cars = {"old": found / MODEL_BEFORE, "new": found / MODEL, "oracle": settings["real"]}
-    words = [str(word) for word in settings["train"]]
     rows = {}
     for i, (kind, car) in enumerate(cars.items()):
         on_progress(i / 3, f"{kind}: training")
         trained, raced = folder.path / kind, folder.path / f"{kind}_race"
         if not is_complete(trained):
-            train(compose("train", [f"vehicle={car}", *words, f"threads={settings['threads']}"]), trained)
+            train(compose("train", [f"vehicle={car}", *words]), trained)
         on_progress((i + 0.7) / 3, f"{kind}: racing")
         if not is_complete(raced):
             race = [f"run={trained}", f"vehicle={settings['real']}", f"laps={settings['laps']}"]

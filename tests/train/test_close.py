@@ -7,7 +7,7 @@ import pytest
 
 from racerl.config import compose_settings
 from racerl.documents import write_json
-from racerl.errors import ConfigError, RunError
+from racerl.errors import ConfigError, LogError, RacerlError, RunError
 from racerl.run import RunFolder
 from racerl.train.close import close, recovered
 
@@ -54,10 +54,23 @@ def test_logs_are_diagnosed_first(diagnosed, tmp_path, monkeypatch):
         shutil.copytree(diagnosed, out)
 
     monkeypatch.setattr("racerl.train.close.gap", diagnose)
+    monkeypatch.setattr("racerl.train.close.load_given", lambda settings: [])
     settings = {**settings_of("drive.csv.gz"), "gap": ["vehicle=published"]}
     facts = close(settings, tmp_path / "out", compose_settings)
     assert asked == [["drive.csv.gz"]] and facts["effects"] == ["aero_drag"]
     assert (tmp_path / "out" / "gap" / "model.yaml").is_file()
+
+
+def test_a_log_that_is_not_there_leaves_nothing_behind(tmp_path):
+    with pytest.raises(LogError, match="no such file"):
+        close(settings_of(tmp_path / "drive.csv"), tmp_path / "out", compose_settings)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_car_that_is_not_there_is_told_before_anything_is_trained(diagnosed, tmp_path):
+    with pytest.raises(RacerlError, match="nowhere"):
+        close(settings_of(diagnosed, real="nowhere.yaml"), tmp_path / "out", compose_settings)
+    assert not (tmp_path / "out").exists()
 
 
 def test_without_an_effect_there_is_nothing_to_train_with(diagnosed, tmp_path):
