@@ -18,7 +18,12 @@ from racerl.vehicle.vehicle import STATE, Vehicle
 from tests.vehicle.conftest import EFFECTS, make_car, random_states
 
 ODD = ("y", "yaw", "v_y", "yaw_rate", "delta")  # change sign in the mirror
-EVEN = ("clock", "heat", "longitudinal_load_transfer.acceleration")  # of the effects' states; the others are odd
+EVEN = (
+    "clock",
+    "heat",
+    "longitudinal_load_transfer.acceleration",
+    "drive_split.apart",
+)  # of the effects' states; the others are odd
 
 
 def mirror(car: Vehicle, state: torch.Tensor) -> torch.Tensor:
