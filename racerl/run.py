@@ -9,7 +9,7 @@ import json
 import os
 import platform
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
@@ -22,6 +22,7 @@ from racerl.errors import DocumentError, RunError
 FORMAT = 1
 MANIFEST, CONFIG = "manifest.json", "config.yaml"
 MAX_DEPTH = 3  # folders below outputs/<stage>
+Compose = Callable[[str, Sequence[str]], dict[str, Any]]  # settings of another stage, from its name and overrides
 LIBRARIES = ("torch", "stable-baselines3", "numpy", "casadi")
 
 

@@ -1,10 +1,11 @@
 """Benchmarks, one file each; module `identify` holds the class `Identify`. Ratios are taken in one run."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, Protocol
 
+from racerl.run import Compose as Compose
+
 Progress = Callable[[float, str], None]
-Compose = Callable[[str, Sequence[str]], dict[str, Any]]  # settings of another stage, from its name and overrides
 
 
 class Benchmark(Protocol):

@@ -21,7 +21,7 @@ from racerl.gap.investigation import COG, FAR, Found, Investigation
 from racerl.gap.locate import locate
 from racerl.gap.name import Decision, intervals, name_effects
 from racerl.gap.prove import prove
-from racerl.gap.stage import CHAIN, stages
+from racerl.gap.stage import CHAIN, Stage, stages
 from racerl.gap.verdict import Verdict, judge
 from racerl.identify.document import write_model
 from racerl.identify.unknowns import choose_unknowns
@@ -90,16 +90,19 @@ def check(settings: Mapping[str, Any]) -> None:
 def cut(logs: Sequence[Log], settings: Mapping[str, Any]) -> dict[str, Evidence]:
     """Return the windows of every stage that the logs have the channels and the length for."""
     chain = stages(channels_of(logs))
-    found = [Evidence.of(logs, stage, settings["window"], settings["slowest"]) for stage in chain]
-    return {each.stage.name: each for each in found if each is not None and len(each.start) >= FEWEST}
+    found = [_windows(logs, stage, settings) for stage in chain]
+    return {each.stage.name: each for each in found if each is not None}
+
+
+def _windows(logs: Sequence[Log], stage: Stage, settings: Mapping[str, Any]) -> Evidence | None:
+    """Return a stage's windows; None where there are too few."""
+    found = Evidence.of(logs, stage, settings["window"], settings["slowest"])
+    return found if found is not None and len(found.start) >= FEWEST else None
 
 
 def chain(logs: Sequence[Log], settings: Mapping[str, Any]) -> Evidence | None:
     """Return the windows of the whole chain; None where it is no longer than the chassis, or too short."""
-    if not {"delta", "omega"} <= channels_of(logs):
-        return None
-    found = Evidence.of(logs, CHAIN, settings["window"], settings["slowest"])
-    return found if found is not None and len(found.start) >= FEWEST else None
+    return _windows(logs, CHAIN, settings) if {"delta", "omega"} <= channels_of(logs) else None
 
 
 def investigate(

@@ -4,7 +4,7 @@ The score test's matrix H over the effects' presences, nominal and initial-state
 its diagonal is the χ² by which an effect of its usual size would show, its cosines how alike two effects look.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,14 +18,13 @@ from racerl.gap.diagnose import check, cut, excitations, investigate
 from racerl.gap.score import Score
 from racerl.gap.verdict import SHOWS
 from racerl.record.record import Plan, table
-from racerl.run import RunFolder
+from racerl.run import Compose, RunFolder
 from racerl.vehicle.load import load_vehicle
 
 PLAN = "plan.json"
 ALIKE = 0.95  # |cosine| above which two effects cannot be told apart by a linear test
 NEXT = 5  # manoeuvres that are proposed
 SECONDS = 300  # of the programme, where no log is given
-Compose = Callable[[str, Sequence[str]], dict[str, Any]]  # settings of another stage, from its name and overrides
 
 
 def plan(

@@ -9,6 +9,7 @@ ambiguous       another effect explains the data as well
 unknown         what is left is real, and no known effect explains it
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,7 +46,7 @@ def judge(investigation: Investigation, decision: Decision) -> Verdict:
     effects = tuple(decision.chosen)
     rivals = tuple(name for row in _rounds(decision) for name in equals(row) if name not in effects)
     before, after = fitted(investigation, decision)
-    stage, left, first = open_stage(investigation, decision)
+    stage, left, first = open_stage(investigation, decision, before, after)
     if not effects:
         if stage:
             reason = f"the {stage} stage has an excess of {first:.0%} over the noise's cost, which no effect explains"
@@ -69,9 +70,10 @@ def judge(investigation: Investigation, decision: Decision) -> Verdict:
     return Verdict("named" if len(effects) == 1 else "multiple", effects, (), blind, explained)
 
 
-def open_stage(investigation: Investigation, decision: Decision) -> tuple[str, float, float]:
+def open_stage(
+    investigation: Investigation, decision: Decision, before: Mapping[str, float], after: Mapping[str, float]
+) -> tuple[str, float, float]:
     """Return the stage whose excess is real and not explained, with that and its first one, over the noise's cost."""
-    before, after = fitted(investigation, decision)
     worst = ("", 0.0, 0.0)
     for name, noise in investigation.floor.items():
         left, first = after[name] / noise, before[name] / noise

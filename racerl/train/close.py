@@ -4,7 +4,7 @@
 oracle's gain in lap time, naming the effect recovered the share (old − new)/(old − oracle).
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +13,12 @@ from racerl.documents import read_json, write_json
 from racerl.errors import ConfigError
 from racerl.evaluate.evaluate import METRICS, evaluate
 from racerl.gap.diagnose import MODEL, MODEL_BEFORE, VERDICT, gap
-from racerl.run import RunFolder, is_complete
+from racerl.run import Compose, RunFolder, is_complete
 from racerl.train.train import train
 from racerl.vehicle.load import load_vehicle
 
 RESULT = "close.json"
 SHOWN = ("mean_lap_s", "fastest_valid_lap_s", "e_off", "crash_share", "laps", "valid_laps")
-Compose = Callable[[str, Sequence[str]], dict[str, Any]]
 
 
 def close(
