@@ -1,6 +1,7 @@
 """From a resolved configuration, a plain mapping, to the objects of the world."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import torch
@@ -12,12 +13,12 @@ from racerl.env.observations import create_observation
 from racerl.env.race import Race, Timing
 from racerl.env.randomize import Randomization
 from racerl.env.termination import OffTrack, Termination
-from racerl.errors import ConfigError
+from racerl.errors import ConfigError, suggest
 from racerl.registry import construct
 from racerl.track.load import load_track
 from racerl.track.track import Track
 from racerl.vehicle.load import load_vehicle
-from racerl.vehicle.vehicle import Vehicle
+from racerl.vehicle.vehicle import STATE, Vehicle
 
 Settings = Mapping[str, Any]
 
@@ -30,6 +31,29 @@ NEEDED: dict[str, tuple[str, ...]] = {
     "action": ("name",),
     "dr": ("sigma", "parameters"),
 }
+
+
+@dataclass(frozen=True)
+class Car:
+    """What is driven and measured, `conf/car/*.yaml`: the model itself, or a car that does what the model does not."""
+
+    name: str
+    actuators: bool = True
+    step: float | None = None  # s, of the Runge–Kutta steps; that of `sim` where it is None
+    effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)  # added to the vehicle's own
+    drift: Mapping[str, Any] = field(default_factory=dict)  # a randomization, of what changes from lap to lap
+    estimate: Mapping[str, float] = field(default_factory=dict)  # noise of what the driver sees, deviation per state
+    sensors: Mapping[str, float] = field(default_factory=dict)  # noise of what is recorded
+
+    def __post_init__(self) -> None:
+        for state, deviation in self.estimate.items():
+            if state not in STATE:
+                raise ConfigError(f"car.estimate has no state '{state}'{suggest(state, STATE)}")
+            bounds.number(f"car.estimate.{state}", deviation, 0.0, 10.0)
+
+    def wear(self, vehicle: Settings) -> dict[str, Any]:
+        """Return the settings of the vehicle that this car is."""
+        return {**vehicle, "effects": {**(vehicle.get("effects") or {}), **self.effects}}
 
 
 def check_settings(settings: Settings) -> None:
@@ -91,8 +115,12 @@ def build_race(
     seeds: Sequence[int],
     device: torch.device | None = None,
     termination: Termination | None = None,
+    noise: Mapping[str, float] | None = None,
 ) -> Race:
-    """Build the race that the settings describe, for `cars` cars, with one seed for all or one for each."""
+    """Build the race that the settings describe, for `cars` cars, with one seed for all or one for each.
+
+    `noise` is that of what drivers see, a standard deviation per state.
+    """
     check_settings(settings)
     action = build_action(settings)
     return Race(
@@ -105,5 +133,6 @@ def build_race(
         randomization=construct(Randomization, settings["dr"], "dr"),
         timing=build_timing(settings),
         termination=termination or OffTrack(),
+        noise=noise or {},
         device=device or torch.device("cpu"),
     )

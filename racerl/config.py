@@ -156,7 +156,7 @@ def _rewrite(command: str, arguments: Sequence[str], positional: str | None) -> 
                 overrides += [] if value is None else [value]
                 if word in ("--config-dir", "-cd") and value:
                     _check_user_files(Path(value))
-        elif positional and ("=" not in word or Path(word).is_dir()):
+        elif positional and not word.startswith("~") and ("=" not in word or Path(word).is_dir()):
             bare.append(word)
         elif "=" not in word and not word.startswith("~"):
             raise ConfigError(f"'{word}' is no override; write key=value, for instance dr=friction_0.02")

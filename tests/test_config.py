@@ -45,7 +45,7 @@ def test_no_file_is_left_out():
         ),
         "track/file.yaml",
         "vehicle/file.yaml",
-        "car/model.yaml",
+        *(f"car/{path.name}" for path in (CONF / "car").glob("*.yaml")),  # tests/evaluate drives each
         "hydra/racerl.yaml",
     }
     mappings = {path.relative_to(CONF).as_posix() for path in (CONF / "data").glob("*.yaml")}  # tests/data reads each

@@ -6,7 +6,7 @@ All arrays are tensors of shape (N,) unless said otherwise.
 """
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -134,6 +134,7 @@ class Race(Rows):
     randomization: Randomization = field(default_factory=Randomization)
     timing: Timing = field(default_factory=Timing)
     termination: Termination = field(default_factory=OffTrack)
+    noise: Mapping[str, float] = field(default_factory=dict)  # of what the driver sees, standard deviation per state
     device: torch.device = field(default_factory=lambda: torch.device("cpu"))
     dtype: torch.dtype = torch.float32
 
@@ -165,7 +166,9 @@ class Race(Rows):
         # the latest commands, newest first, as far as any acts late
         self.history = torch.zeros(late + 1 if late else 0, 2, self.count, device=self.device, dtype=self.dtype)
         # what sensors showed, newest first, where they do not show the truth at once
-        self.shown = self.state.new_zeros(samples(self.vehicle, self.timing.dt), len(STATE), self.count)
+        self.spread = self.constant([float(self.noise.get(name, 0.0)) for name in STATE])[:, None]
+        past = samples(self.vehicle, self.timing.dt, noisy=any(self.noise.values()))
+        self.shown = self.state.new_zeros(past, len(STATE), self.count)
         self.command_rate, self.s, self.n, self.heading = zeros, zeros, zeros, zeros
         self.margin, self.offset, self.still_time = zeros, zeros, zeros
         self.travelled = zeros.double()  # m along the centreline, unwrapped since the episode's start
@@ -260,14 +263,25 @@ class Race(Rows):
             moved = torch.where(faulty, self.state.nan_to_num(0.0, 0.0, 0.0), moved)
         self.state = moved
         if len(self.shown):
-            self.shown = torch.cat([shown(self._drawn(), moved)[None], self.shown[:-1]])
+            self.shown = torch.cat([self._shown(moved)[None], self.shown[:-1]])
         self.age = self.age + 1
         last = self.s
         self._locate()
         progress = self.frame.difference(self.s, last)
-        self.travelled = self.travelled + progress
+        travelled = self.travelled + progress
+        if self.randomization.each_lap and self.draws.names:
+            crossed = (travelled / self.track.length).floor() > (self.travelled / self.track.length).floor()
+            self.draws.draw(crossed.nonzero()[:, 0], self.dice)
+        self.travelled = travelled
         self.still_time = (self.still_time + self.timing.dt) * (self.v_x.abs() < STOP_SPEED)
         return progress, faulty
+
+    def _shown(self, state: Tensor) -> Tensor:
+        """Return what the sensors show of all cars' states, with their noise, (8, N)."""
+        what = shown(self._drawn(), state)
+        if not any(self.noise.values()):
+            return what
+        return what + self.spread * self.dice.normal(len(STATE), torch.arange(self.count, device=self.device))
 
     def _locate(self) -> None:
         foot = self.frame.project(self.state[X], self.state[Y], self.s)

@@ -1,5 +1,7 @@
 """Domain randomization: at each episode start every chosen parameter is multiplied by a draw from N(1, σ).
 
+With `each_lap` it is drawn anew at every crossing of the line, too: a floor and tyres that change from lap to lap.
+
 Parameters are chosen by dotted name or pattern (`friction`, `*.p_Ky1`). Draws are kept inside the physical bounds.
 """
 
@@ -22,6 +24,7 @@ class Randomization:
 
     sigma: float = 0.0
     parameters: Sequence[str] = ()
+    each_lap: bool = False
 
     def __post_init__(self) -> None:
         if not isinstance(self.sigma, (int, float)) or not 0.0 <= self.sigma <= 1.0:
@@ -62,7 +65,7 @@ class ParameterDraws:
 
     def draw(self, cars: Tensor, dice: Dice) -> None:
         """Draw new parameters for the cars of these numbers (K,)."""
-        if not self.names:
+        if not self.names or not len(cars):
             return
         noise = dice.normal(len(self.names), cars)
         fresh = (self._nominal * (1.0 + self.sigma * noise)).clamp(self._low, self._high)

@@ -12,7 +12,7 @@ from racerl.vehicle.ops import TORCH
 from racerl.vehicle.vehicle import STATE, Vehicle
 
 
-def samples(vehicle: Vehicle, period: float) -> int:
+def samples(vehicle: Vehicle, period: float, noisy: bool = False) -> int:
     """Return how many shown states must be known, one per period; 0 where sensors show the truth at once.
 
     Latencies may be half as long again, where they are randomized.
@@ -20,7 +20,7 @@ def samples(vehicle: Vehicle, period: float) -> int:
     true = {name: torch.zeros(1) for name in STATE}
     honest = all(value is true[name] for name, value in vehicle.measured(true, TORCH).items())
     longest = max((abs(float(late)) for late in vehicle.latencies().values()), default=0.0)
-    return 0 if honest and longest == 0.0 else 2 + math.floor(1.5 * longest / period)
+    return 0 if honest and longest == 0.0 and not noisy else 2 + math.floor(1.5 * longest / period)
 
 
 def shown(vehicle: Vehicle, state: Tensor) -> Tensor:

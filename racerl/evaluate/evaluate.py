@@ -14,7 +14,7 @@ import pandas as pd
 import torch
 
 from racerl import bounds
-from racerl.assemble import build_race, check_settings, choose_device, use_threads
+from racerl.assemble import Car, build_race, check_settings, choose_device, use_threads
 from racerl.control.policy import load_policy
 from racerl.documents import write_bytes, write_json, write_text
 from racerl.env.race import Race
@@ -43,12 +43,13 @@ def evaluate(
     trained_settings = trained.settings()
     check_settings(trained_settings)
     name = label(trained_settings)
-    race_settings = combine(trained_settings, settings)
+    car = construct(Car, settings["car"], "car")
+    race_settings = combine(trained_settings, settings, car)
     device = choose_device(settings["device"])
     policy = load_policy(trained.path, device)
     # the policy knows what it sees and does, in which scale
     race_settings |= {"obs": policy.observation, "action": policy.action}
-    race = build_evaluation_race(race_settings, seeds, device)
+    race = build_evaluation_race(race_settings, seeds, device, car.estimate)
     if race.observation.size != policy.sizes[0]:
         raise PolicyError(
             f"{trained.path}: the policy reads {policy.sizes[0]} numbers, the observation has {race.observation.size}"
@@ -66,7 +67,7 @@ def evaluate(
         "mean_over_optimum": gap(scored["mean_lap_s"], floor),
         "laps_per_seed": laps,
         "track": race.track.name,
-        "car": settings["car"]["name"],
+        "car": car.name,
         "controller": policy.name,
         "seed": seeds,
         "run": str(settings["run"]),
@@ -84,21 +85,27 @@ def evaluate(
     return metrics
 
 
-def combine(trained: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str, Any]:
+def combine(trained: Mapping[str, Any], settings: Mapping[str, Any], car: Car) -> dict[str, Any]:
     """Return the settings of the race: those of the training run, in the car and with the overrides given here."""
     combined = dict(trained)
     for group in OVERRIDABLE:
         if settings.get(group) is not None:
             combined[group] = settings[group]
+    if settings.get("dr") is None:  # a race is driven in one car, which may change from lap to lap
+        combined["dr"] = {"sigma": 0.0, "parameters": [], **car.drift, "each_lap": True}
+    combined["vehicle"] = car.wear(combined["vehicle"])
     # the car that is driven has actuators, whatever the policy was trained with, unless `sim` is asked for
-    actuators = combined["sim"]["actuators"] if settings.get("sim") else settings["car"]["actuators"]
-    combined["sim"] = {**combined["sim"], "actuators": actuators, "max_steps": UNLIMITED}
+    actuators = combined["sim"]["actuators"] if settings.get("sim") else car.actuators
+    step = combined["sim"]["step"] if car.step is None else car.step
+    combined["sim"] = {**combined["sim"], "actuators": actuators, "step": step, "max_steps": UNLIMITED}
     return combined
 
 
-def build_evaluation_race(settings: Mapping[str, Any], seeds: list[int], device: torch.device) -> Race:
+def build_evaluation_race(
+    settings: Mapping[str, Any], seeds: list[int], device: torch.device, noise: Mapping[str, float] | None = None
+) -> Race:
     """Build a race with one car per seed, which ends an episode only at a crash."""
-    return build_race(settings, cars=len(seeds), seeds=seeds, device=device, termination=Crash())
+    return build_race(settings, cars=len(seeds), seeds=seeds, device=device, termination=Crash(), noise=noise)
 
 
 def label(settings: Mapping[str, Any]) -> str:

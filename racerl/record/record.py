@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from racerl import bounds
-from racerl.assemble import build_track
+from racerl.assemble import Car, build_track
 from racerl.data.differentiate import velocities
 from racerl.documents import write_bytes, write_yaml
 from racerl.errors import ConfigError
@@ -51,15 +51,15 @@ class Plan:
     def of(cls, settings: Mapping[str, Any]) -> "Plan":
         """Build everything that the settings describe; raise a RacerlError for what cannot be driven."""
         _check(settings)
-        sim, car = settings["sim"], settings["car"]
-        actuators = bool(sim["actuators"]) and bool(car["actuators"])
+        sim, car = settings["sim"], construct(Car, settings["car"], "car")
+        actuators = bool(sim["actuators"]) and car.actuators
         if sim["drive"] == "motor_current" and not actuators:
             raise ConfigError(
                 "sim.drive = motor_current: a car without actuators has no motor; give sim.actuators=true"
             )
         configured = load_vehicle(settings["vehicle"], sim["drive"], actuators)
         hidden = construct(Hidden, settings["hidden"], "hidden")
-        document = vehicle_document(settings["vehicle"], hidden.draw(configured), sim["drive"])
+        document = vehicle_document(car.wear(settings["vehicle"]), hidden.draw(configured), sim["drive"])
         noise, choices = (np.random.default_rng(child) for child in np.random.SeedSequence(settings["seed"]).spawn(2))
         scene = Scene(
             vehicle=configured,
@@ -76,7 +76,7 @@ class Plan:
             pose=pose,
             driving=driving,
             scene=scene,
-            sensors=construct(Sensors, car.get("sensors") or {}, "car.sensors"),
+            sensors=construct(Sensors, car.sensors, "car.sensors"),
             noise=noise,
             step=settings["step"],
         )

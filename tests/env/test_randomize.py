@@ -69,3 +69,14 @@ def test_randomized_friction_changes_the_drive():
 def test_wrong_randomization_is_refused(override, said):
     with pytest.raises(ConfigError, match=said):
         make("dr=friction_0.02", override)
+
+
+@pytest.mark.parametrize("each_lap", [False, True])
+def test_a_car_may_change_from_lap_to_lap(each_lap):
+    race = make("dr=friction_0.1", f"+dr.each_lap={each_lap}", cars=4)
+    race.travelled = torch.tensor([0.5, 1.0, 2.0, 3.0], dtype=torch.float64) * race.track.length - 0.001
+    race.travelled[0] = 1.0
+    before = race.draws.values.clone()
+    race.step(torch.zeros(4, 2))  # all but the first cross the line
+    changed = (race.draws.values != before).any(dim=0)
+    assert changed.tolist() == [False, each_lap, each_lap, each_lap]

@@ -67,3 +67,12 @@ def test_a_snapshot_holds_what_was_shown():
     driven(race, 4)
     other.restore(race.snapshot())
     assert torch.equal(other.observe(), race.observe())
+
+
+def test_what_is_seen_carries_the_noise_that_was_asked_for():
+    settings = compose_settings("train", [])
+    race = build_race(settings, cars=2000, seeds=[3], noise={"v_x": 0.1, "yaw": 0.02})
+    race.step(torch.zeros(2000, 2))
+    error = race.seen()[0] - race.state[:8]
+    assert float(error[V_X].std()) == pytest.approx(0.1, rel=0.1) and abs(float(error[V_X].mean())) < 0.01
+    assert not error[DELTA].any() and float(error[2].std()) == pytest.approx(0.02, rel=0.1)

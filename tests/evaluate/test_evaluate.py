@@ -8,11 +8,14 @@ import pandas as pd
 import pytest
 import torch
 
+from racerl.assemble import Car, conf_folder
 from racerl.config import compose_settings
 from racerl.env.termination import Crash
 from racerl.errors import RacerlError, RunError
 from racerl.evaluate.drive import Recorder, drive
 from racerl.evaluate.evaluate import combine, evaluate, label
+from racerl.record.record import record
+from racerl.registry import construct
 from tests.env.test_race import make
 
 
@@ -107,13 +110,34 @@ def test_a_seed_gives_the_same_laps_alone(smoke_run, smoke_evaluation, tmp_path)
     )
 
 
+def raced(trained, *words):
+    settings = compose_settings("evaluate", ["run=x", *words])
+    return combine(trained, settings, construct(Car, settings["car"], "car"))
+
+
 def test_the_driven_car_has_actuators_whatever_it_was_trained_with():
     trained = compose_settings("train", ["sim=no_actuators", "dr=all_0.1"])
-    plain = combine(trained, compose_settings("evaluate", ["run=x"]))
+    plain = raced(trained)
     assert plain["sim"]["actuators"] is True and plain["dr"]["sigma"] == 0.0
-    assert combine(trained, compose_settings("evaluate", ["run=x", "sim=no_actuators"]))["sim"]["actuators"] is False
-    assert combine(trained, compose_settings("evaluate", ["run=x", "dr=friction_0.1"]))["dr"]["sigma"] == 0.1
+    assert raced(trained, "sim=no_actuators")["sim"]["actuators"] is False
+    assert raced(trained, "dr=friction_0.1")["dr"]["sigma"] == 0.1
     assert "no actuator model" in label(trained) and "all σ = 0.1" in label(trained)
+
+
+def test_the_twin_is_the_vehicle_with_what_training_never_sees():
+    trained = compose_settings("train", ["vehicle=published", "+vehicle/effect=aero_drag"])
+    twin = raced(trained, "car=twin")
+    assert {"aero_drag", "tyre_relaxation", "pose_latency"} <= set(twin["vehicle"]["effects"])
+    assert twin["sim"]["step"] < trained["sim"]["step"] and twin["dr"]["each_lap"] and twin["dr"]["sigma"] > 0
+    assert "tyre_relaxation" not in raced(trained, "car=twin", "~car.effects.tyre_relaxation")["vehicle"]["effects"]
+
+
+@pytest.mark.parametrize("car", sorted(path.stem for path in (conf_folder() / "car").glob("*.yaml")))
+def test_every_car_is_raced_and_recorded(car, smoke_run, tmp_path):
+    metrics = evaluate(compose_settings("evaluate", [f"run='{smoke_run}'", f"car={car}", "laps=1"]), tmp_path / "race")
+    assert metrics["car"] == car and metrics["laps"] == 3
+    facts = record(compose_settings("record", [f"car={car}", "vehicle=published", "seconds=5"]), tmp_path / "log")
+    assert facts["rows"] == 500
 
 
 @pytest.mark.parametrize(
@@ -125,6 +149,10 @@ def test_the_driven_car_has_actuators_whatever_it_was_trained_with():
         ("seeds=[-1]", "seeds"),
         ("run=nowhere", "no racerl run"),
         ("threads=0", "threads"),
+        ("+car.estimate.speed=0.1", "no state 'speed'"),
+        ("+car.estimate.v_x=-1", "car.estimate.v_x = -1"),
+        ("+car.effects.wings={}", "wings"),
+        ("+car.wheels=3", "no setting 'wheels'"),
     ],
 )
 def test_wrong_settings(override, said, smoke_run, tmp_path):
