@@ -63,6 +63,10 @@ Benchmarks = Annotated[
     list[str] | None,
     typer.Argument(metavar="BENCHMARK [KEY=VALUE]...", autocompletion=_complete, show_default=False),
 ]
+Sweeps = Annotated[
+    list[str] | None,
+    typer.Argument(metavar="SWEEP [GROUP=CHOICE | KEY=VALUE]...", autocompletion=_complete, show_default=False),
+]
 Logs = Annotated[
     list[str] | None,
     typer.Argument(metavar="LOG... [KEY=VALUE]...", autocompletion=_complete, show_default=False),
@@ -196,6 +200,16 @@ def gap(
         _run("gap", words[1:] if given else ["logs=[]", *words[1:]], _plan, positional="logs")
     else:
         _run("gap", words, _gap, positional="logs")
+
+
+@app.command(context_settings=HYDRA)
+def sweep(arguments: Sweeps = None) -> None:
+    """Train and race every arm of an ablation: racerl sweep ablations
+
+    One process per training, as many at once as there are cores; finished ones are passed over, interrupted ones go
+    on. Own groups and keys: engine seeds cars laps starts threads out; other words are racerl train's: budget=smoke.
+    """
+    _run("sweep", _sweep_words(arguments or []), _sweep, positional="name")
 
 
 @app.command(context_settings=HYDRA)
@@ -382,6 +396,40 @@ def _print_verdict(console: Any, facts: dict[str, Any]) -> None:
         lines.append(f"warning: {remark}")
     for line in lines:
         console.print(line, highlight=False, soft_wrap=True, markup=False)
+
+
+def _sweep_words(arguments: list[str]) -> list[str]:
+    """Return the words with those that are racerl train's gathered under one key."""
+    from racerl.config import own_keys
+
+    mine = own_keys("sweep")
+    others = [
+        word
+        for word in arguments
+        if "=" in word
+        and not word.startswith("-")
+        and word.lstrip("+~").partition("=")[0].partition(".")[0] not in mine
+    ]
+    quoted = ",".join("'" + word.replace("'", "\\'") + "'" for word in others)
+    kept = [word for word in arguments if word not in others]
+    return [*kept, f"words=[{quoted}]"] if others else kept
+
+
+def _sweep(settings: "Settings", out: Path) -> None:
+    from racerl.config import compose_settings
+    from racerl.console import Board
+    from racerl.sweep.sweep import RESULTS, sweep
+
+    console = _console()
+    try:
+        with Board(console) as board:
+            facts = sweep(settings, out, compose_settings, board.show)
+    except KeyboardInterrupt:
+        console.print("interrupted; the same command goes on", highlight=False)
+        raise
+    for claim in facts["claims"]:
+        console.print(f"claim {claim['claim']}: {claim['verdict']}: {claim['says']}", highlight=False, soft_wrap=True)
+    console.print(f"numbers in {out / RESULTS}; draw them with: racerl report {out}", highlight=False, soft_wrap=True)
 
 
 def _bench(settings: "Settings", out: Path) -> None:

@@ -196,11 +196,15 @@ def default_groups(command: str) -> list[str]:
     return [name for name in names if not name.startswith("override ")]
 
 
+def own_keys(command: str) -> set[str]:
+    """Return the groups and keys that a command's configuration has."""
+    base = read_yaml(conf_folder() / f"{command}.yaml")
+    return {*default_groups(command), *(key for key in base if key != "defaults")} - {"hydra"}
+
+
 def _check_keys(command: str, settings: Settings) -> None:
     """Raise ConfigError for keys that a `+` or `~` override added or took away."""
-    base = read_yaml(conf_folder() / f"{command}.yaml")
-    groups = [group for group in default_groups(command) if group != "hydra"]
-    known = {*groups, *(key for key in base if key != "defaults")}
+    base, known = read_yaml(conf_folder() / f"{command}.yaml"), own_keys(command)
     for key in settings:
         if key not in known:
             raise ConfigError(f"unknown key '{key}'{suggest(key, known)}")

@@ -78,8 +78,10 @@ class RunFolder:
         self.manifest = manifest
 
     @classmethod
-    def start(cls, path: Path, stage: str, settings: Mapping[str, Any], **facts: Any) -> "RunFolder":
-        """Create the folder, or continue an interrupted run of the same configuration in it.
+    def start(
+        cls, path: Path, stage: str, settings: Mapping[str, Any], *, again: bool = False, **facts: Any
+    ) -> "RunFolder":
+        """Create the folder, or continue an interrupted run of the same configuration in it; `again` a finished one.
 
         Raises RunError when the folder holds anything else: results are never overwritten.
         """
@@ -92,7 +94,7 @@ class RunFolder:
                 raise RunError(
                     f"out = {path}: already holds another {folder.manifest['stage']} run; choose another out="
                 )
-            if folder.manifest["status"] == "complete":
+            if folder.manifest["status"] == "complete" and not again:
                 raise RunError(f"out = {path}: already holds this very run, complete; choose another out=")
             return folder
         if path.is_dir() and any(path.iterdir()):

@@ -1,0 +1,1 @@
+"""Every arm of an ablation: trained, raced, weighed against the claims."""

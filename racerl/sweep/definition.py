@@ -1,0 +1,175 @@
+"""What a sweep asks: `sweeps/*.yaml`, one question each, with arms, seeds, metrics, and the claims that it decides.
+
+The runner and the report read the same file. A `./sweeps` beside the user comes before the packaged one.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from racerl import bounds
+from racerl.documents import read_yaml
+from racerl.errors import ConfigError, suggest
+from racerl.registry import construct
+
+METRICS = {
+    "lap_time": "mean lap [s]",
+    "fastest": "fastest valid lap [s]",
+    "e_off": "E_off [m s]",
+    "crash_share": "share of laps with a crash",
+    "valid_share": "share of laps that never leave the track",
+    "off_track": "furthest off the track [m]",
+    "turn_in": "steering leads the track's curvature by [m]",
+    "reward": "training reward per step [m]",
+}
+
+
+@dataclass(frozen=True)
+class Test:
+    """A contrast between arms and the side of a limit that it must lie on, in one car.
+
+    Σ w_k m(arm_k), w given (`contrast`) or those of the least-squares slope over numbers (`slope`), divided by the
+    metric of the arm `relative_to`.
+    """
+
+    metric: str
+    contrast: Mapping[str, float] = field(default_factory=dict)
+    slope: Mapping[str, float] = field(default_factory=dict)
+    car: str = "twin"
+    relative_to: str | None = None
+    above: float | None = None
+    below: float | None = None
+    within: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.metric not in METRICS:
+            raise ConfigError(f"unknown metric '{self.metric}'{suggest(str(self.metric), METRICS)}")
+        if bool(self.contrast) == bool(self.slope):
+            raise ConfigError("a test compares arms: give either contrast or slope, a mapping from arms to numbers")
+        if sum(limit is not None for limit in (self.above, self.below, self.within)) != 1:
+            raise ConfigError("a test has one limit: above, below or within")
+        for where, numbers in (("contrast", self.contrast), ("slope", self.slope)):
+            for arm, number in numbers.items():
+                bounds.number(f"{where}.{arm}", number, -1e6, 1e6)
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """Weight of every arm."""
+        if self.contrast:
+            return {arm: float(weight) for arm, weight in self.contrast.items()}
+        middle = sum(self.slope.values()) / len(self.slope)
+        square = sum((x - middle) ** 2 for x in self.slope.values())
+        return {arm: (x - middle) / square for arm, x in self.slope.items()}
+
+    @property
+    def arms(self) -> set[str]:
+        """Arms that it needs."""
+        return {*self.weights, *([self.relative_to] if self.relative_to else [])}
+
+    def holds(self, low: float, high: float) -> bool | None:
+        """Return whether an interval lies on the claimed side, or on the other; None where it lies on both."""
+        if self.within is not None:
+            inside, outside = -self.within < low and high < self.within, low > self.within or high < -self.within
+        elif self.above is not None:
+            inside, outside = low > self.above, high < self.above
+        else:
+            assert self.below is not None  # noqa: S101
+            inside, outside = high < self.below, low > self.below
+        return True if inside else False if outside else None
+
+
+@dataclass(frozen=True)
+class Claim:
+    """What the paper says, by its number, and the tests that must all hold."""
+
+    number: int
+    says: str
+    tests: tuple[Test, ...]
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """One question: arms, each the words for `racerl train` that set it apart from the base, and seeds."""
+
+    name: str
+    question: str
+    base: tuple[str, ...]
+    arms: Mapping[str, tuple[str, ...]]
+    seeds: tuple[int, ...]
+    metrics: tuple[str, ...]
+    claims: tuple[Claim, ...]
+    awaited: tuple[str, ...] = ()
+
+
+def folder() -> Path:
+    """Return the folder of packaged sweeps: inside a wheel, or beside the package in a checkout."""
+    package = Path(str(files("racerl")))
+    return package / "sweeps" if (package / "sweeps").is_dir() else package.parent / "sweeps"
+
+
+def names() -> list[str]:
+    """Return the names of all sweeps that are there."""
+    return sorted({path.stem for place in (Path("sweeps"), folder()) for path in place.glob("*.yaml")})
+
+
+def read_sweeps(name: str) -> list[Sweep]:
+    """Return the sweeps that a name stands for: itself, or those it lists; raise ConfigError or DocumentError."""
+    content = read_yaml(_path(name))
+    if "sweeps" not in content:
+        return [_sweep(name, content)]
+    listed = _words(name, "sweeps", content["sweeps"])
+    return [_sweep(each, read_yaml(_path(each))) for each in listed]
+
+
+def _path(name: str) -> Path:
+    for place in (Path("sweeps"), folder()):
+        if Path(name).name == name and (place / f"{name}.yaml").is_file():
+            return place / f"{name}.yaml"
+    raise ConfigError(f"unknown sweep '{name}'{suggest(name, names())}")
+
+
+def _sweep(name: str, content: Mapping[str, Any]) -> Sweep:
+    known = ("question", "base", "arms", "seeds", "metrics", "claims", "awaited")
+    for key in content:
+        if key not in known:
+            raise ConfigError(f"sweeps/{name}.yaml: unknown key '{key}'{suggest(str(key), known)}")
+    for key in known[:5]:
+        if key not in content:
+            raise ConfigError(f"sweeps/{name}.yaml: {key} is missing; give it a value")
+    arms = content["arms"]
+    if not isinstance(arms, Mapping) or not arms:
+        raise ConfigError(f"sweeps/{name}.yaml: arms is a mapping from names to words for racerl train")
+    sweep = Sweep(
+        name=name,
+        question=str(content["question"]),
+        base=tuple(_words(name, "base", content["base"])),
+        arms={str(arm): tuple(_words(name, f"arms.{arm}", words)) for arm, words in arms.items()},
+        seeds=tuple(bounds.whole("seeds", seed, 0, 2**31 - 1) for seed in content["seeds"]),
+        metrics=tuple(_words(name, "metrics", content["metrics"])),
+        claims=tuple(_claims(name, content.get("claims") or {})),
+        awaited=tuple(_words(name, "awaited", content.get("awaited") or [])),
+    )
+    for metric in sweep.metrics:
+        if metric not in METRICS:
+            raise ConfigError(f"sweeps/{name}.yaml: unknown metric '{metric}'{suggest(metric, METRICS)}")
+    for claim in sweep.claims:
+        for arm in sorted(set().union(*(test.arms for test in claim.tests)) - {*sweep.arms, *sweep.awaited}):
+            raise ConfigError(f"sweeps/{name}.yaml: claim {claim.number}: no arm '{arm}'{suggest(arm, sweep.arms)}")
+    return sweep
+
+
+def _claims(name: str, content: Mapping[Any, Any]) -> Iterator[Claim]:
+    for number, claim in content.items():
+        where = f"sweeps/{name}.yaml: claims.{number}"
+        if not isinstance(claim, Mapping) or set(claim) != {"says", "tests"} or not claim["tests"]:
+            raise ConfigError(f"{where}: says and tests are expected")
+        tests = tuple(construct(Test, test, where) for test in claim["tests"])
+        yield Claim(bounds.whole(f"{where}: number", number, 1, 1000), str(claim["says"]), tests)
+
+
+def _words(name: str, key: str, value: Any) -> Sequence[str]:
+    if not isinstance(value, list) or not all(isinstance(word, str) for word in value):
+        raise ConfigError(f"sweeps/{name}.yaml: {key} = {value}: a list of words is expected")
+    return value

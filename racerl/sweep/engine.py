@@ -1,0 +1,152 @@
+"""Running jobs: one process each by submitit, as many at once as there is room for; on this machine or by Slurm.
+
+Finished jobs are passed over, interrupted ones go on from their checkpoint, failed ones are tried again and then told
+about; none takes others along. What submitit pickles stays inside the sweep's folder and is removed with each job.
+"""
+
+import fcntl
+import os
+import shutil
+import time
+import uuid
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import submitit
+
+from racerl import bounds
+from racerl.documents import read_json, write_text
+from racerl.errors import ConfigError, DocumentError, RunError
+from racerl.sweep.jobs import Job
+from racerl.sweep.work import STATE, work
+
+OWNER, PICKLES, LOGS = ".sweep", ".submitit", "logs"
+KINDS = ("local", "slurm")
+PERIOD = 0.5  # s between looks at the jobs
+TAIL = 400  # characters of a failed job's last words
+THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+
+
+@dataclass(frozen=True)
+class Status:
+    """Where a job is: waiting, running, done or failed, and what its process last said."""
+
+    job: Job
+    kind: str
+    tries: int
+    told: Mapping[str, Any]
+
+
+@dataclass
+class Slot:
+    """A job that a process works on."""
+
+    job: Job
+    handle: Any  # submitit's
+    folder: Path  # of its pickles
+
+
+@contextmanager
+def alone(folder: Path) -> Iterator[Path]:
+    """Hold a sweep's folder; raise RunError when another sweep does."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / OWNER).open("a+") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise RunError(
+                f"out = {folder}: another sweep is at work in it; wait for it, or choose another out="
+            ) from None
+        lock.truncate(0)
+        lock.write(uuid.uuid4().hex)
+        lock.flush()
+        yield folder / OWNER
+
+
+class Engine:
+    """Runs jobs; `settings` are those of `conf/engine/*.yaml`."""
+
+    def __init__(self, settings: Mapping[str, Any], threads: int, folder: Path, owner: Path) -> None:
+        self.kind = settings.get("name")
+        if self.kind not in KINDS:
+            raise ConfigError(f"engine.name = {self.kind}: allowed is {' or '.join(KINDS)}")
+        self.settings, self.threads, self.folder, self.owner = settings, threads, folder, owner
+        self.retries = bounds.whole("engine.retries", settings["retries"], 0, 100)
+        room = max(1, len(os.sched_getaffinity(0)) // threads)
+        self.most = room if settings["jobs"] is None else bounds.whole("engine.jobs", settings["jobs"], 1, 10_000)
+
+    def run(self, jobs: Sequence[Job], on_status: Callable[[Sequence[Status]], None] = lambda rows: None) -> list[Job]:
+        """Run all jobs to their end; return those that failed."""
+        tries = {job.name: 0 for job in jobs}
+        waiting = [job for job in jobs if not job.done]
+        failed: list[Job] = []
+        slots: list[Slot] = []
+        try:
+            while waiting or slots:
+                while waiting and len(slots) < self.most:
+                    job = waiting.pop(0)
+                    tries[job.name] += 1
+                    slots.append(self._submit(job))
+                time.sleep(PERIOD)
+                for slot in [slot for slot in slots if slot.handle.done()]:
+                    slots.remove(slot)
+                    if not slot.job.done:
+                        self._keep_log(slot)
+                        again = tries[slot.job.name] <= self.retries
+                        (waiting if again else failed).insert(0, slot.job)
+                    shutil.rmtree(slot.folder, ignore_errors=True)
+                on_status([self._status(job, tries[job.name], slots, failed) for job in jobs])
+        finally:
+            for slot in slots:
+                slot.handle.cancel()
+            shutil.rmtree(self.folder / PICKLES, ignore_errors=True)
+        return failed
+
+    def _submit(self, job: Job) -> Slot:
+        folder = self.folder / PICKLES / uuid.uuid4().hex[:8]
+        owner = str(self.owner.resolve()) if self.kind == "local" else None
+        with _environment(self.threads):
+            executor = submitit.AutoExecutor(folder=folder, cluster=self.kind)
+            options = {key: value for key, value in self.settings.items() if key not in ("name", "jobs", "retries")}
+            executor.update_parameters(name="racerl", cpus_per_task=self.threads, stderr_to_stdout=True, **options)
+            handle = executor.submit(work, job.name, str(job.path.resolve()), job.train, job.races, owner)
+        return Slot(job, handle, folder)
+
+    def _keep_log(self, slot: Slot) -> None:
+        """Keep what a job that failed has printed."""
+        write_text(self.folder / LOGS / f"{slot.job.path.name}.log", slot.handle.stdout() or "")
+
+    def _status(self, job: Job, tries: int, slots: Sequence[Slot], failed: Sequence[Job]) -> Status:
+        running = any(slot.job is job for slot in slots)
+        kind = "running" if running else "failed" if job in failed else "done" if job.done else "waiting"
+        try:
+            told = read_json(job.path / STATE) if running else {}
+        except DocumentError:
+            told = {}
+        return Status(job, kind, tries, told)
+
+    def last_words(self, job: Job) -> str:
+        """Return the last line that a job printed."""
+        try:
+            lines = (self.folder / LOGS / f"{job.path.name}.log").read_text(errors="replace").strip().splitlines()
+        except OSError:
+            return "it printed nothing"
+        return lines[-1][:TAIL] if lines else "it printed nothing"
+
+
+@contextmanager
+def _environment(threads: int) -> Iterator[None]:
+    """Let processes that are started inside compute with this many threads."""
+    before = {name: os.environ.get(name) for name in THREADS}
+    os.environ.update(dict.fromkeys(THREADS, str(threads)))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value

@@ -1,0 +1,92 @@
+"""What was measured: one row per lap driven and one per training, read from the jobs' run folders.
+
+Turn-in: the distance by which a lap's steering δ(s) leads the track's curvature κ(s), the d that maximises
+∮ δ(s) κ(s + d) ds, in m.
+"""
+
+import json
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from racerl.documents import read_json, read_text
+from racerl.errors import DocumentError, RunError
+from racerl.evaluate.evaluate import METRICS, TRACK, TRAJECTORIES
+from racerl.sweep.jobs import Job
+
+Array = NDArray[np.float64]
+PROGRESS = "progress.jsonl"
+SHARE = 0.1  # of a training's end, over which its reward is averaged
+STEP, REACH = 0.05, 2.0  # m, of the grid that turn-in is looked for on, and how far
+
+
+def measure(job: Job, cars: Sequence[str]) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """Return the laps that a finished job drove in every car, and what its training came to.
+
+    Raises RunError for folders that are damaged.
+    """
+    laps = []
+    try:
+        for car in cars:
+            raced = job.race(car)
+            leads = turn_ins(pd.read_parquet(raced / TRAJECTORIES), pd.read_csv(raced / TRACK))
+            for row in read_json(raced / METRICS)["rows"]:
+                laps.append(
+                    {
+                        "car": car,
+                        "start": row["seed"],
+                        "number": row["number"],
+                        "time_s": row["time_s"],
+                        "e_off": row["e_off"],
+                        "off_track_m": row["max_off_track_m"],
+                        "crashed": row["crashed"],
+                        "valid": row["valid"],
+                        "turn_in_m": leads.get((row["seed"], row["number"])),
+                    }
+                )
+        return laps, {"reward": final_reward(learning(job))}
+    except (DocumentError, KeyError, OSError, ValueError) as error:
+        raise RunError(f"{job.path}: is damaged ({' '.join(str(error).split())}); remove it and sweep again") from error
+
+
+def learning(job: Job) -> pd.DataFrame:
+    """Return steps and reward per step over a training, one row per update."""
+    rows = [json.loads(line) for line in read_text(job.trained / PROGRESS, 2**27).splitlines() if line.strip()]
+    table = pd.DataFrame([{"steps": row["steps"], "reward": row.get("train/reward")} for row in rows])
+    return table.dropna().drop_duplicates("steps", keep="last").sort_values("steps", ignore_index=True)
+
+
+def final_reward(table: pd.DataFrame) -> float | None:
+    """Return the mean reward per step over the last tenth of a training; None where none was logged."""
+    if table.empty:
+        return None
+    last = table[table["steps"] >= (1.0 - SHARE) * table["steps"].iloc[-1]]
+    return float(last["reward"].mean())
+
+
+def turn_ins(drive: pd.DataFrame, track: pd.DataFrame) -> dict[tuple[int, int], float]:
+    """Return the turn-in in m of every flying lap, by start and number."""
+    length = float(track["s_m"].iloc[-1] + track["s_m"].iloc[1] - track["s_m"].iloc[0])
+    grid = np.arange(0.0, length, STEP)
+    curvature = np.interp(grid, track["s_m"], track["curvature_1_m"], period=length)
+    found = {}
+    for (start, number), lap in drive[drive["lap"] > 0].groupby(["seed", "lap"]):
+        if np.ptp(lap["s"]) > 0.9 * length:
+            found[int(start), int(number)] = turn_in(np.interp(grid, lap["s"], lap["delta"], period=length), curvature)
+    return found
+
+
+def turn_in(steering: Array, curvature: Array) -> float:
+    """Return by how many metres steering leads curvature, both on a closed grid of `STEP`; positive is earlier."""
+    spectrum = np.conj(np.fft.rfft(steering - steering.mean())) * np.fft.rfft(curvature - curvature.mean())
+    likeness = np.fft.irfft(spectrum, len(steering))  # at d = k STEP: Σ δ(s) κ(s + d)
+    far = round(REACH / STEP)
+    shifts = np.arange(-far, far + 1)
+    near = likeness[shifts]
+    best = int(np.clip(near.argmax(), 1, len(near) - 2))
+    left, middle, right = near[best - 1 : best + 2]
+    bend = left - 2.0 * middle + right
+    return float((shifts[best] + (0.5 * (left - right) / bend if bend < 0.0 else 0.0)) * STEP)

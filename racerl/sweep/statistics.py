@@ -1,0 +1,149 @@
+"""From laps to verdicts: means over seeds, contrasts between arms, intervals by stratified bootstrap.
+
+Trainings (seeds) are drawn with replacement, the same ones for all arms; inside each its starts, the same for all
+arms; inside each start its laps. A metric is taken per training and averaged over them. A claim holds where the 95 %
+interval of every test's contrast lies on the claimed side, is refuted where one lies on the other side, and is
+undecided otherwise.
+"""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from racerl.sweep.definition import METRICS, Claim, Sweep, Test
+
+Array = NDArray[np.float64]
+RESAMPLES = 1000
+LEVEL = 0.95
+MEASURES = ("time_s", "e_off", "off_track_m", "crashed", "valid", "turn_in_m")
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Every metric of every arm of a sweep in one car: of each training, and resampled, (R,)."""
+
+    seeds: Sequence[int]
+    per_seed: Mapping[str, Mapping[str, Array]]  # arm → metric → (S,)
+    resampled: Mapping[str, Mapping[str, Array]]  # arm → metric → (R,)
+
+    def value(self, arm: str, metric: str) -> float:
+        """Return an arm's metric, averaged over trainings; NaN where one has none."""
+        return float(np.mean(self.per_seed[arm][metric]))
+
+    def interval(self, arm: str, metric: str) -> list[float] | None:
+        """Return its 95 % interval; None where too few resamples have a value."""
+        return spread(self.resampled[arm][metric])
+
+
+def resample(laps: pd.DataFrame, rewards: pd.DataFrame, generator: np.random.Generator) -> Samples:
+    """Return the samples of one sweep in one car, from rows of laps and of trainings."""
+    seeds = sorted(int(seed) for seed in laps["seed"].unique())
+    arms = list(dict.fromkeys(laps["arm"]))
+    blocks = {
+        key: rows[list(MEASURES)].to_numpy(dtype=float)
+        for key, rows in laps.groupby(["arm", "seed", "start"], sort=True)
+    }
+    starts = sorted(int(start) for start in laps["start"].unique())
+    reward = {(row.arm, row.seed): row.reward for row in rewards.itertuples()}
+
+    def metrics(arm: str, seed: int, drawn: Iterable[int], shuffled: bool) -> dict[str, float]:
+        parts = [blocks[arm, seed, start] for start in drawn if (arm, seed, start) in blocks]
+        if shuffled:
+            parts = [part[generator.integers(len(part), size=len(part))] for part in parts]
+        return {**_metrics(np.concatenate(parts)), "reward": float(reward.get((arm, seed), math.nan))}
+
+    per_seed = {
+        arm: _table([metrics(arm, seed, starts, False) for seed in seeds if (arm, seed) in reward]) for arm in arms
+    }
+    rows: dict[str, list[dict[str, float]]] = {arm: [] for arm in arms}
+    for _ in range(RESAMPLES):
+        chosen = generator.choice(seeds, size=len(seeds))
+        drawn = [generator.choice(starts, size=len(starts)) for _ in chosen]
+        for arm in arms:
+            of = [
+                metrics(arm, int(seed), which.tolist(), True)
+                for seed, which in zip(chosen, drawn, strict=True)
+                if (arm, int(seed)) in reward
+            ]
+            rows[arm].append(
+                {name: float(np.mean([each[name] for each in of])) if of else math.nan for name in METRICS}
+            )
+    return Samples(seeds, per_seed, {arm: _table(row) for arm, row in rows.items()})
+
+
+def _metrics(laps: Array) -> dict[str, float]:
+    """Return the metrics of laps (L, 6) in the order of MEASURES; NaN where there is none to take it from."""
+    time, e_off, off, crashed, valid, lead = laps.T
+    timed, clean, led = time[~np.isnan(time)], time[valid > 0.5], lead[~np.isnan(lead)]
+    return {
+        "lap_time": float(timed.mean()) if len(timed) else math.nan,
+        "fastest": float(clean.min()) if len(clean) else math.nan,
+        "e_off": float(e_off.mean()),
+        "crash_share": float(crashed.mean()),
+        "valid_share": float(valid.mean()),
+        "off_track": float(off.max()),
+        "turn_in": float(led.mean()) if len(led) else math.nan,
+    }
+
+
+def _table(rows: Sequence[Mapping[str, float]]) -> dict[str, Array]:
+    return {name: np.array([row[name] for row in rows]) for name in METRICS}
+
+
+def spread(values: Array) -> list[float] | None:
+    """Return the 95 % interval of resampled values; None where more than a tenth have none."""
+    known = values[~np.isnan(values)]
+    if not len(values) or len(known) < 0.9 * len(values):
+        return None
+    low, high = np.quantile(known, [(1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0])
+    return [float(low), float(high)]
+
+
+def judge(claim: Claim, sweep: Sweep, samples: Mapping[str, Samples]) -> dict[str, Any]:
+    """Return a claim's verdict with every test's effect and interval; `samples` by car."""
+    tests = [_test(test, sweep, samples) for test in claim.tests]
+    outcomes = [test["holds"] for test in tests]
+    verdict = "refuted" if False in outcomes else "undecided" if None in outcomes else "supported"
+    return {"claim": claim.number, "says": claim.says, "sweep": sweep.name, "verdict": verdict, "tests": tests}
+
+
+def _test(test: Test, sweep: Sweep, samples: Mapping[str, Samples]) -> dict[str, Any]:
+    facts: dict[str, Any] = {
+        "metric": test.metric,
+        "car": test.car,
+        "weights": test.weights,
+        "relative_to": test.relative_to,
+        "limit": next(
+            {key: getattr(test, key)} for key in ("above", "below", "within") if getattr(test, key) is not None
+        ),
+        "effect": None,
+        "ci95": None,
+        "seeds": 0,
+        "agreeing": 0,
+        "holds": None,
+        "why": "",
+    }
+    absent = sorted(arm for arm in test.arms if test.car not in samples or arm not in samples[test.car].per_seed)
+    if absent:
+        return {**facts, "why": f"{', '.join(absent)} has not been driven"}
+    mine = samples[test.car]
+    effect = contrast(test, {arm: np.array([mine.value(arm, test.metric)]) for arm in test.arms})[0]
+    interval = spread(contrast(test, {arm: mine.resampled[arm][test.metric] for arm in test.arms}))
+    facts["seeds"] = len(mine.seeds)
+    if interval is None or math.isnan(effect):
+        lacking = [arm for arm in sorted(test.arms) if math.isnan(mine.value(arm, test.metric))]
+        return {**facts, "why": f"{METRICS[test.metric]}: none for {', '.join(lacking) or 'some resamples'}"}
+    single = contrast(test, {arm: mine.per_seed[arm][test.metric] for arm in test.arms})
+    facts["agreeing"] = sum(test.holds(float(value), float(value)) is True for value in single)
+    return {**facts, "effect": float(effect), "ci95": interval, "holds": test.holds(*interval)}
+
+
+def contrast(test: Test, metrics: Mapping[str, Array]) -> Array:
+    """Return the contrast of a test from metrics per arm, elementwise."""
+    total: Array = np.sum([weight * metrics[arm] for arm, weight in test.weights.items()], axis=0)
+    return total / metrics[test.relative_to] if test.relative_to else total

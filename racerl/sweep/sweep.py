@@ -1,0 +1,132 @@
+"""The sweep stage: trains and races every arm of every ablation over several seeds, and weighs the paper's claims.
+
+Writes `jobs/` (a run folder per training and race), `laps.csv` (one row per lap driven), `learning.csv` (reward over
+steps), `trainings.csv` and `results.json` (metrics with intervals, claims with verdicts).
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from racerl import bounds
+from racerl.documents import read_json, write_json, write_text
+from racerl.errors import ConfigError, RunError
+from racerl.run import MANIFEST, Compose, RunFolder
+from racerl.sweep.definition import Sweep, read_sweeps
+from racerl.sweep.engine import Engine, Status, alone
+from racerl.sweep.jobs import Plan, plan
+from racerl.sweep.measures import learning, measure
+from racerl.sweep.statistics import Samples, judge, resample
+
+RESULTS, LAPS, LEARNING, TRAININGS = "results.json", "laps.csv", "learning.csv", "trainings.csv"
+POINTS = 200  # of a learning curve
+
+
+def sweep(
+    settings: Mapping[str, Any],
+    out: Path,
+    compose: Compose,
+    on_status: Callable[[Sequence[Status]], None] = lambda rows: None,
+) -> dict[str, Any]:
+    """Run the sweep of `settings["name"]` into `out`; return what was written to results.json.
+
+    Raises ConfigError for what cannot be composed, RunError when another sweep is at work in `out` or jobs failed.
+    """
+    sweeps = read_sweeps(str(settings["name"]))
+    check(settings)
+    planned = plan(sweeps, settings, out, compose)
+    decisive = {key: value for key, value in settings.items() if key != "engine"}
+    folder = RunFolder.start(out, "sweep", decisive, again=True, threads=settings["threads"])
+    with alone(out) as owner:
+        engine = Engine(settings["engine"], settings["threads"], out, owner)
+        failed = engine.run(planned.jobs, on_status)
+        facts = summarise(planned, settings, out) if any(job.done for job in planned.jobs) else {}
+        if failed:
+            words = "; ".join(f"{job.name}: {engine.last_words(job)}" for job in failed)
+            raise RunError(f"{len(failed)} of {len(planned.jobs)} jobs failed: {words}; the same command tries again")
+        folder.finish(jobs=len(planned.jobs), seconds=round(facts["seconds"], 1))
+    return facts
+
+
+def check(settings: Mapping[str, Any]) -> None:
+    """Raise ConfigError for settings of the wrong kind or out of range."""
+    bounds.whole("threads", settings["threads"], 1, 256)
+    bounds.whole("laps", settings["laps"], 1, 10_000)
+    for key in ("seeds", "starts"):
+        if not isinstance(settings[key], list):
+            raise ConfigError(f"{key} = {settings[key]}: a list of whole numbers is expected")
+        for seed in settings[key]:
+            bounds.whole(key, seed, 0, 2**31 - 1)
+    if not isinstance(settings["cars"], list) or not settings["cars"]:
+        raise ConfigError(f"cars = {settings['cars']}: a list of names from conf/car is expected")
+
+
+def summarise(planned: Plan, settings: Mapping[str, Any], out: Path) -> dict[str, Any]:
+    """Write what the finished jobs came to; return results.json."""
+    cars = list(settings["cars"])
+    laps, trainings, curves = [], [], []
+    known: dict[str, tuple[list[dict[str, Any]], dict[str, Any], pd.DataFrame]] = {}
+    for (name, arm, seed), job in planned.of.items():
+        if not job.done:
+            continue
+        if job.name not in known:
+            known[job.name] = (*measure(job, cars), learning(job))
+        driven, trained, curve = known[job.name]
+        where = {"sweep": name, "arm": arm, "seed": seed}
+        laps += [{**where, **row} for row in driven]
+        trainings.append({**where, **trained, "job": job.path.name})
+        curves.append(_thinned(curve).assign(**where))
+    tables = {LAPS: pd.DataFrame(laps), TRAININGS: pd.DataFrame(trainings), LEARNING: pd.concat(curves)}
+    for file, table in tables.items():
+        write_text(out / file, table.to_csv(index=False, float_format="%.6g"))
+    facts = results(planned.sweeps, cars, tables[LAPS], tables[TRAININGS])
+    facts["seconds"] = sum(read_json(job.trained / MANIFEST)["seconds"] for job in planned.jobs if job.done)
+    facts["jobs"] = {"planned": len(planned.jobs), "done": sum(job.done for job in planned.jobs)}
+    write_json(out / RESULTS, facts)
+    return facts
+
+
+def results(
+    sweeps: Sequence[Sweep], cars: Sequence[str], laps: pd.DataFrame, trainings: pd.DataFrame
+) -> dict[str, Any]:
+    """Return every arm's metrics with intervals and every claim's verdict; a fixed generator, so that it repeats."""
+    rows, claims = [], []
+    for sweep in sweeps:
+        mine, trained = laps[laps["sweep"] == sweep.name], trainings[trainings["sweep"] == sweep.name]
+        samples: dict[str, Samples] = {
+            car: resample(mine[mine["car"] == car], trained, np.random.default_rng(0)) for car in cars if len(mine)
+        }
+        rows += [
+            {
+                "sweep": sweep.name,
+                "arm": arm,
+                "car": car,
+                "trainings": len(part.per_seed[arm]["lap_time"]),
+                **_metrics(part, arm),
+            }
+            for car, part in samples.items()
+            for arm in sweep.arms
+            if arm in part.per_seed
+        ]
+        claims += [judge(claim, sweep, samples) for claim in sweep.claims]
+    questions = [{"sweep": s.name, "question": s.question, "metrics": list(s.metrics)} for s in sweeps]
+    return {"sweeps": questions, "arms": rows, "claims": sorted(claims, key=lambda claim: claim["claim"])}
+
+
+def _metrics(samples: Samples, arm: str) -> dict[str, Any]:
+    return {
+        name: {"value": None if math.isnan(value) else value, "ci95": samples.interval(arm, name)}
+        for name in samples.per_seed[arm]
+        for value in [samples.value(arm, name)]
+    }
+
+
+def _thinned(curve: pd.DataFrame) -> pd.DataFrame:
+    """Return a learning curve as means of at most POINTS neighbourhoods."""
+    if len(curve) <= POINTS:
+        return curve
+    return curve.groupby(np.arange(len(curve)) * POINTS // len(curve)).mean()

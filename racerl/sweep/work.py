@@ -1,0 +1,84 @@
+"""What the process of one job does: train, race in every car, and say how far it is.
+
+It runs in a process group of its own, holds a lock on its folder, and ends when the sweep that started it is gone.
+"""
+
+import fcntl
+import os
+import threading
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from racerl.documents import write_json
+from racerl.evaluate.evaluate import evaluate
+from racerl.run import is_complete
+from racerl.sweep.jobs import Job
+from racerl.train.session import Progress
+from racerl.train.train import train
+
+STATE, LOCK = "state.json", ".lock"
+PERIOD = 1.0  # s between looks at the sweep, and at most between words about the state
+
+
+def work(name: str, path: str, settings: Mapping[str, Any], races: Mapping[str, Any], owner: str | None) -> None:
+    """Finish a job in its folder, from wherever an earlier process left it.
+
+    `owner` is the file that the sweep keeps locked while it lives; None where jobs outlive it.
+    """
+    job = Job(name, Path(path), settings, races)
+    os.setpgid(0, 0)
+    if owner:
+        threading.Thread(target=_end_with, args=(Path(owner),), daemon=True).start()
+    job.path.mkdir(parents=True, exist_ok=True)
+    with (job.path / LOCK).open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)  # an orphan of an earlier sweep may still be ending
+        _finish(job)
+
+
+def _finish(job: Job) -> None:
+    told = 0.0
+
+    def tell(share: float, remark: str, rate: float = 0.0, lap: float | None = None, left: float | None = None) -> None:
+        nonlocal told
+        if time.monotonic() - told >= PERIOD or share >= 1.0:
+            told = time.monotonic()
+            facts = {"share": share, "remark": remark, "steps_per_s": rate, "lap_s": lap, "seconds_left": left}
+            write_json(job.path / STATE, facts)
+
+    def training(progress: Progress) -> None:
+        rate = progress.steps_per_s
+        left = (progress.total_steps - progress.steps) / rate if rate else None
+        tell(
+            0.95 * progress.steps / progress.total_steps, "training", rate, progress.evaluation.get("mean_lap_s"), left
+        )
+
+    if not is_complete(job.trained):
+        train(job.train, job.trained, training)
+    for i, (car, settings) in enumerate(job.races.items()):
+        tell(0.95 + 0.05 * i / len(job.races), f"racing ({car})")
+        if not is_complete(job.race(car)):
+            evaluate(settings, job.race(car))
+    tell(1.0, "done")
+
+
+def _end_with(owner: Path) -> None:
+    """End this process once nobody holds the owner's lock, or somebody else does."""
+    first = _identity(owner)
+    while first and _identity(owner) == first:
+        time.sleep(PERIOD)
+    os._exit(1)
+
+
+def _identity(owner: Path) -> str:
+    """Return what the holder of a lock has written into it, nothing where nobody holds it."""
+    try:
+        with owner.open() as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            except BlockingIOError:
+                return lock.read()
+            return ""
+    except OSError:
+        return ""
