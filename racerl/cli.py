@@ -418,6 +418,7 @@ def _sweep_words(arguments: list[str]) -> list[str]:
 def _sweep(settings: "Settings", out: Path) -> None:
     from racerl.config import compose_settings
     from racerl.console import Board
+    from racerl.report.sweep_page import draw_sweep
     from racerl.sweep.sweep import RESULTS, sweep
 
     console = _console()
@@ -429,7 +430,7 @@ def _sweep(settings: "Settings", out: Path) -> None:
         raise
     for claim in facts["claims"]:
         console.print(f"claim {claim['claim']}: {claim['verdict']}: {claim['says']}", highlight=False, soft_wrap=True)
-    console.print(f"numbers in {out / RESULTS}; draw them with: racerl report {out}", highlight=False, soft_wrap=True)
+    console.print(f"numbers in {out / RESULTS}, report in {draw_sweep(out)}", highlight=False, soft_wrap=True)
 
 
 def _bench(settings: "Settings", out: Path) -> None:

@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 PROGRESS = "progress.jsonl"
 SHARE = 0.1  # of a training's end, over which its reward is averaged
 STEP, REACH = 0.05, 2.0  # m, of the grid that turn-in is looked for on, and how far
+COARSE = 0.1  # m, of the grid that steering is kept on
 
 
 def measure(job: Job, cars: Sequence[str]) -> tuple[list[dict[str, Any]], dict[str, Any]]:
@@ -77,6 +78,15 @@ def turn_ins(drive: pd.DataFrame, track: pd.DataFrame) -> dict[tuple[int, int], 
         if np.ptp(lap["s"]) > 0.9 * length:
             found[int(start), int(number)] = turn_in(np.interp(grid, lap["s"], lap["delta"], period=length), curvature)
     return found
+
+
+def usual_steering(job: Job, car: str) -> pd.DataFrame:
+    """Return the median steering angle over a job's flying laps in a car, along the track; empty without any."""
+    drive = pd.read_parquet(job.race(car) / TRAJECTORIES)
+    drive = drive[drive["lap"] > 0]
+    place = (drive["s"] / COARSE).round().astype(int)
+    median = drive.groupby(place)["delta"].median()
+    return pd.DataFrame({"s_m": median.index * COARSE, "delta_rad": median.to_numpy()})
 
 
 def turn_in(steering: Array, curvature: Array) -> float:

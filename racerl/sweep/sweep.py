@@ -1,7 +1,8 @@
 """The sweep stage: trains and races every arm of every ablation over several seeds, and weighs the paper's claims.
 
 Writes `jobs/` (a run folder per training and race), `laps.csv` (one row per lap driven), `learning.csv` (reward over
-steps), `trainings.csv` and `results.json` (metrics with intervals, claims with verdicts).
+steps), `trainings.csv`, `steering.csv` (median steering along the track, where a sweep asks for turn-in) and
+`results.json` (metrics with intervals, claims with verdicts).
 """
 
 import math
@@ -19,10 +20,11 @@ from racerl.run import MANIFEST, Compose, RunFolder
 from racerl.sweep.definition import Sweep, read_sweeps
 from racerl.sweep.engine import Engine, Status, alone
 from racerl.sweep.jobs import Plan, plan
-from racerl.sweep.measures import learning, measure
+from racerl.sweep.measures import learning, measure, usual_steering
 from racerl.sweep.statistics import Samples, judge, resample
 
-RESULTS, LAPS, LEARNING, TRAININGS = "results.json", "laps.csv", "learning.csv", "trainings.csv"
+RESULTS, LAPS, LEARNING = "results.json", "laps.csv", "learning.csv"
+TRAININGS, STEERING = "trainings.csv", "steering.csv"
 POINTS = 200  # of a learning curve
 
 
@@ -48,7 +50,8 @@ def sweep(
         if failed:
             words = "; ".join(f"{job.name}: {engine.last_words(job)}" for job in failed)
             raise RunError(f"{len(failed)} of {len(planned.jobs)} jobs failed: {words}; the same command tries again")
-        folder.finish(jobs=len(planned.jobs), seconds=round(facts["seconds"], 1))
+        seconds = sum(read_json(job.trained / MANIFEST)["seconds"] for job in planned.jobs)
+        folder.finish(jobs=len(planned.jobs), training_seconds=round(seconds, 1))
     return facts
 
 
@@ -68,26 +71,41 @@ def check(settings: Mapping[str, Any]) -> None:
 def summarise(planned: Plan, settings: Mapping[str, Any], out: Path) -> dict[str, Any]:
     """Write what the finished jobs came to; return results.json."""
     cars = list(settings["cars"])
-    laps, trainings, curves = [], [], []
-    known: dict[str, tuple[list[dict[str, Any]], dict[str, Any], pd.DataFrame]] = {}
-    for (name, arm, seed), job in planned.of.items():
-        if not job.done:
-            continue
-        if job.name not in known:
-            known[job.name] = (*measure(job, cars), learning(job))
-        driven, trained, curve = known[job.name]
-        where = {"sweep": name, "arm": arm, "seed": seed}
-        laps += [{**where, **row} for row in driven]
-        trainings.append({**where, **trained, "job": job.path.name})
-        curves.append(_thinned(curve).assign(**where))
-    tables = {LAPS: pd.DataFrame(laps), TRAININGS: pd.DataFrame(trainings), LEARNING: pd.concat(curves)}
-    for file, table in tables.items():
-        write_text(out / file, table.to_csv(index=False, float_format="%.6g"))
-    facts = results(planned.sweeps, cars, tables[LAPS], tables[TRAININGS])
-    facts["seconds"] = sum(read_json(job.trained / MANIFEST)["seconds"] for job in planned.jobs if job.done)
-    facts["jobs"] = {"planned": len(planned.jobs), "done": sum(job.done for job in planned.jobs)}
+    tables = gather(planned, cars)
+    for name, table in tables.items():
+        if not table.empty:
+            write_text(out / name, table.to_csv(index=False, float_format="%.6g"))
+    facts = {
+        **results(planned.sweeps, cars, tables[LAPS], tables[TRAININGS]),
+        "jobs": {"planned": len(planned.jobs), "done": sum(job.done for job in planned.jobs)},
+    }
     write_json(out / RESULTS, facts)
     return facts
+
+
+def gather(planned: Plan, cars: Sequence[str]) -> dict[str, pd.DataFrame]:
+    """Return the tables of what the finished jobs measured, by file."""
+    turning = {sweep.name for sweep in planned.sweeps if "turn_in" in sweep.metrics}
+    measured = {job.name: (*measure(job, cars), _thinned(learning(job))) for job in planned.jobs if job.done}
+    laps: list[dict[str, Any]] = []
+    trainings: list[dict[str, Any]] = []
+    curves, steering = [], []
+    for (sweep, arm, seed), job in planned.of.items():
+        if job.name not in measured:
+            continue
+        driven, trained, curve = measured[job.name]
+        where = {"sweep": sweep, "arm": arm, "seed": seed}
+        laps += [{**where, **row} for row in driven]
+        trainings.append({**where, **trained, "job": job.path.name})
+        curves.append(curve.assign(**where))
+        if sweep in turning:
+            steering += [usual_steering(job, car).assign(**where, car=car) for car in cars]
+    return {
+        LAPS: pd.DataFrame(laps),
+        TRAININGS: pd.DataFrame(trainings),
+        LEARNING: pd.concat(curves),
+        STEERING: pd.concat(steering) if steering else pd.DataFrame(),
+    }
 
 
 def results(

@@ -1,0 +1,43 @@
+"""The paper's Fig. 4: reward over training steps, mean and range over seeds; the paper's curves beside them."""
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from racerl.report import paper_values
+from racerl.report.figures.style import WIDTH, colour, style, to_svg
+
+POINTS = 200
+
+
+def draw(learning: pd.DataFrame) -> str | None:
+    """Return the SVG from rows of sweep, arm, seed, steps and reward; None without any."""
+    curves: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+    for (_, arm), rows in learning.groupby(["sweep", "arm"], sort=False):
+        steps = np.linspace(0.0, float(rows["steps"].max()), POINTS)
+        curves.setdefault(arm, (steps, np.array([_on(steps, one) for _, one in rows.groupby("seed")])))
+    if not curves:
+        return None
+    with style():
+        figure = Figure(figsize=(WIDTH, 3.8))
+        ours, theirs = figure.subplots(1, 2)
+        for i, (arm, (steps, rewards)) in enumerate(curves.items()):
+            label = f"{arm.replace('_', ' ')} ({len(rewards)} seeds)"
+            ours.plot(steps / 1e6, np.nanmean(rewards, axis=0), color=colour(i), lw=1.4, label=label)
+            low, high = np.nanmin(rewards, axis=0), np.nanmax(rewards, axis=0)
+            ours.fill_between(steps / 1e6, low, high, color=colour(i), alpha=0.2, lw=0)
+        for i, (name, rows) in enumerate(paper_values.figure_4().groupby("curve")):
+            theirs.plot(
+                rows["million_steps"], rows["reward"], color=colour(i), lw=1.2, label=str(name).replace("_", " ")
+            )
+        ours.set(xlabel="control steps [million]", ylabel="reward per step", title="here: mean and range")
+        theirs.set(xlabel="control steps [million]", title="paper (its levels have another scale)")
+        for axis in (ours, theirs):
+            axis.set_ylim(bottom=0.0)
+            axis.legend(loc="lower right", fontsize=8)
+        return to_svg(figure)
+
+
+def _on(steps: np.ndarray, rows: pd.DataFrame) -> np.ndarray:
+    """Return one training's rewards on a common grid of steps, NaN outside of it."""
+    return np.interp(steps, rows["steps"], rows["reward"], left=np.nan, right=np.nan)

@@ -1,0 +1,36 @@
+"""The paper's Fig. 5: steering along the track with and without an actuator model in training."""
+
+from collections.abc import Sequence
+
+import pandas as pd
+from matplotlib.figure import Figure
+
+from racerl.report import paper_values
+from racerl.report.figures.style import WIDTH, colour, style, to_svg
+
+
+def draw(steering: pd.DataFrame, cars: Sequence[str]) -> str | None:
+    """Return the SVG from rows of arm, seed, car, s_m and delta_rad; None without any."""
+    if steering.empty:
+        return None
+    arms = list(dict.fromkeys(steering["arm"]))
+    paper = paper_values.figure_5()
+    with style():
+        figure = Figure(figsize=(WIDTH, 2.2 * (len(cars) + 1)))
+        axes = figure.subplots(len(cars) + 1, 1, sharex=True, sharey=True)
+        for axis, car in zip(axes, cars, strict=False):
+            for i, arm in enumerate(arms):
+                mine = steering[(steering["arm"] == arm) & (steering["car"] == car)]
+                for number, (_, rows) in enumerate(mine.groupby("seed")):
+                    label = arm.replace("_", " ") if number == 0 else None
+                    axis.plot(rows["s_m"], rows["delta_rad"], color=colour(i), lw=1.0, alpha=0.8, label=label)
+            axis.set_title(f"{car}, median of the laps, one line per seed", fontsize=10)
+        for i, (name, rows) in enumerate(paper.groupby("policy", sort=False)):
+            axes[-1].plot(
+                rows["s_m"], rows["delta_rad"], color=colour(i), lw=1.0, ls=":", label=str(name).replace("_", " ")
+            )
+        axes[-1].set_title("paper, real car", fontsize=10)
+        axes[-1].set(xlabel="s along the centreline [m]")
+        figure.supylabel("steering angle δ [rad]", fontsize=10)
+        axes[0].legend(loc="lower left", bbox_to_anchor=(0.0, 1.15), ncols=2, fontsize=8)
+        return to_svg(figure)

@@ -1,0 +1,191 @@
+"""The page about a sweep: claims, arms and the paper's own figures, drawn from the sweep's files alone."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import pandas as pd
+
+from racerl.documents import read_json
+from racerl.errors import DocumentError, RunError
+from racerl.report import paper_values
+from racerl.report.figures import learning_bands, randomization, transfer, turn_in
+from racerl.report.page import figure, provenance, write_page
+from racerl.run import RunFolder
+from racerl.sweep.definition import METRICS
+from racerl.sweep.sweep import LAPS, LEARNING, RESULTS, STEERING
+
+CURVES = ("track_representation", "action_space")  # sweeps whose arms the paper's Fig. 4 shows
+PERCENT = ("crash_share", "valid_share")
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What a sweep wrote."""
+
+    facts: dict[str, Any]
+    laps: pd.DataFrame
+    learning: pd.DataFrame
+    steering: pd.DataFrame
+
+    @classmethod
+    def read(cls, folder: Path) -> "Findings":
+        """Read the files of a sweep's folder."""
+        steering = folder / STEERING
+        return cls(
+            read_json(folder / RESULTS),
+            pd.read_csv(folder / LAPS),
+            pd.read_csv(folder / LEARNING),
+            pd.read_csv(steering) if steering.is_file() else pd.DataFrame(),
+        )
+
+    def arms(self, sweep: str) -> list[dict[str, Any]]:
+        """Return the rows of one sweep's arms, car by car."""
+        return [row for row in self.facts["arms"] if row["sweep"] == sweep]
+
+    @property
+    def cars(self) -> list[str]:
+        """Cars that were raced in."""
+        return list(dict.fromkeys(row["car"] for row in self.facts["arms"]))
+
+
+def draw_sweep(run: Path) -> Path:
+    """Write the figures and the page of a sweep into its folder; return the page's path."""
+    folder = RunFolder.open_complete(run, "sweep")
+    try:
+        found = Findings.read(folder.path)
+        figures = [
+            figure(folder.path / f"{name}.svg", title, caption, svg)
+            for name, title, caption, svg in drawn(found)
+            if svg
+        ]
+        origin = provenance(folder.manifest)
+        return write_page(
+            folder.path,
+            "sweep_page.html.j2",
+            facts=found.facts,
+            claims=[_claim(claim) for claim in found.facts["claims"]],
+            tables=[_table(found, sweep) for sweep in found.facts["sweeps"]],
+            table_1=_table_1(found),
+            figures=figures,
+            provenance={key: origin[key] for key in ("git_sha", "cpu", "threads")},  # what repeats
+        )
+    except (DocumentError, OSError, ValueError, KeyError, TypeError, jinja2.UndefinedError) as error:
+        raise RunError(f"{run}: is damaged ({' '.join(str(error).split())}); sweep again") from error
+
+
+def drawn(found: Findings) -> Iterator[tuple[str, str, str, str | None]]:
+    """Yield name, title, caption and SVG of every figure that the sweep has the arms for."""
+    names = {sweep["sweep"] for sweep in found.facts["sweeps"]}
+    if "domain_randomization" in names:
+        laps = found.laps[found.laps["sweep"] == "domain_randomization"]
+        yield (
+            "randomization",
+            "Domain randomization (the paper's Fig. 3)",
+            "Lap times, E_off and crashes over what was randomized in training and its σ.",
+            randomization.draw(laps, found.arms("domain_randomization"), found.cars),
+        )
+    curves = found.learning[found.learning["sweep"].isin(CURVES)] if names & set(CURVES) else found.learning
+    yield (
+        "learning",
+        "Learning (the paper's Fig. 4)",
+        "Reward per control step of the noisy training policy. The paper's levels are about twice what its lap times "
+        "allow: compare shapes.",
+        learning_bands.draw(curves),
+    )
+    yield (
+        "turn_in",
+        "Steering with and without an actuator model (the paper's Fig. 5)",
+        "Measured steering angle along the track; what starts further left turns in earlier.",
+        turn_in.draw(found.steering, found.cars),
+    )
+    yield (
+        "transfer",
+        "From the model to the other cars",
+        "The same policies in every car, means over seeds with 95 % intervals.",
+        transfer.draw(found.facts["arms"]),
+    )
+
+
+def _number(metric: str, value: float | None) -> str:
+    if value is None:
+        return "–"
+    return f"{value:.0%}" if metric in PERCENT else f"{value:.5f}" if metric == "e_off" else f"{value:.3f}"
+
+
+def _cell(metric: str, found: dict[str, Any]) -> str:
+    low_high = found["ci95"]
+    between = f" ({_number(metric, low_high[0])} … {_number(metric, low_high[1])})" if low_high else ""
+    return _number(metric, found["value"]) + between
+
+
+def _table(found: Findings, sweep: dict[str, Any]) -> dict[str, Any]:
+    """Return one sweep's arms as rows of text, the metrics that it names in every car."""
+    metrics = list(sweep["metrics"])
+    rows = [
+        [row["arm"].replace("_", " "), row["car"], str(row["trainings"]), *(_cell(m, row[m]) for m in metrics)]
+        for row in found.arms(sweep["sweep"])
+    ]
+    heads = ["arm", "car", "seeds", *(METRICS[metric] for metric in metrics)]
+    return {"name": sweep["sweep"].replace("_", " "), "question": sweep["question"], "heads": heads, "rows": rows}
+
+
+def _claim(claim: dict[str, Any]) -> dict[str, Any]:
+    return {**claim, "tests": [_test(test) for test in claim["tests"]]}
+
+
+def _test(test: dict[str, Any]) -> dict[str, str]:
+    """Return a test as text: what is compared, the limit, the effect with its interval."""
+    parts = [f"{weight:+.3g} {arm.replace('_', ' ')}" for arm, weight in test["weights"].items()]
+    over = f", over {test['relative_to'].replace('_', ' ')}'s" if test["relative_to"] else ""
+    (side, limit), metric = next(iter(test["limit"].items())), test["metric"]
+    share = bool(test["relative_to"])
+    wanted = f"{side} {limit:.3g}" if side != "within" else f"within ± {limit:.3g}"
+    if test["effect"] is None:
+        said = test["why"]
+    else:
+        low, high = test["ci95"]
+        values = [f"{value:+.1%}" if share else f"{value:+.4g}" for value in (test["effect"], low, high)]
+        said = f"{values[0]} ({values[1]} … {values[2]}), {test['agreeing']} of {test['seeds']} seeds agree"
+    return {
+        "what": f"{METRICS[metric]} in the {test['car']}: {' '.join(parts)}{over}",
+        "wanted": wanted,
+        "said": said,
+        "outcome": {True: "holds", False: "does not hold", None: "open"}[test["holds"]],
+    }
+
+
+def _table_1(found: Findings) -> list[dict[str, str]]:
+    """Return the paper's Table I with our rows beside its own; empty without the sweep of controllers."""
+    rows = []
+    for row in found.arms("controllers"):
+        laps = found.laps[
+            (found.laps["sweep"] == "controllers")
+            & (found.laps["arm"] == row["arm"])
+            & (found.laps["car"] == row["car"])
+        ]
+        deviation = laps["time_s"].std()
+        rows.append(
+            {
+                "driver": f"{row['arm'].replace('_', ' ')}, {row['car']}",
+                "fastest": _cell("fastest", row["fastest"]),
+                "mean": _cell("lap_time", row["lap_time"]),
+                "std": "–" if pd.isna(deviation) else f"{deviation:.3f}",
+                "e_off": _cell("e_off", row["e_off"]),
+                "crashes": _cell("crash_share", row["crash_share"]),
+            }
+        )
+    theirs = [
+        {
+            "driver": f"{paper_values.NAMES[row.name]}, real car",
+            "fastest": f"{row.fastest_valid_lap_s:.3f}",
+            "mean": f"{row.mean_lap_s:.3f}",
+            "std": f"{row.std_lap_s:.2f}",
+            "e_off": f"{row.e_off:.5f}",
+            "crashes": "–",
+        }
+        for row in paper_values.table_1().itertuples(index=False)
+    ]
+    return [*rows, *theirs] if rows else []
