@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from racerl import __version__
-from racerl.errors import RacerlError
+from racerl.errors import RacerlError, RunError
 
 if TYPE_CHECKING:
     from racerl.config import Settings
@@ -131,7 +131,7 @@ def optimum(overrides: Overrides = None) -> None:
 def report(arguments: Runs = None) -> None:
     """Draw the report: racerl report [RUN...]
 
-    Writes one self-contained report.html about the runs, or about all under outputs/.
+    Writes one self-contained report.html about the runs and sweeps given, or about all under outputs/.
     """
     _run("report", arguments, _report, positional="runs")
 
@@ -431,6 +431,10 @@ def _sweep(settings: "Settings", out: Path) -> None:
     for claim in facts["claims"]:
         console.print(f"claim {claim['claim']}: {claim['verdict']}: {claim['says']}", highlight=False, soft_wrap=True)
     console.print(f"numbers in {out / RESULTS}, report in {draw_sweep(out)}", highlight=False, soft_wrap=True)
+    if failed := facts["failed"]:
+        words = "; ".join(f"{name}: {line}" for name, line in failed.items())
+        planned = facts["jobs"]["planned"]
+        raise RunError(f"{len(failed)} of {planned} jobs failed, the same command tries them again: {words}")
 
 
 def _bench(settings: "Settings", out: Path) -> None:

@@ -120,11 +120,17 @@ class RunFolder:
     @classmethod
     def open_complete(cls, path: Path, stage: str | None = None) -> "RunFolder":
         """Open a finished run; raise RunError when it is missing, incomplete or of another version or stage."""
+        folder = cls.open(path, stage)
+        if folder.manifest["status"] != "complete":
+            raise RunError(f"{path}: the run is not complete; run the same command with out={path} to continue it")
+        return folder
+
+    @classmethod
+    def open(cls, path: Path, stage: str | None = None) -> "RunFolder":
+        """Open a run, finished or not; raise RunError when it is missing or of another version or stage."""
         folder = cls._open(path)
         if stage and folder.manifest["stage"] != stage:
             raise RunError(f"{path}: is a {folder.manifest['stage']} run, a {stage} run was expected")
-        if folder.manifest["status"] != "complete":
-            raise RunError(f"{path}: the run is not complete; run the same command with out={path} to continue it")
         return folder
 
     @classmethod

@@ -36,11 +36,12 @@ def test_no_file_is_left_out():
         "identify.yaml",
         "gap.yaml",
         "close.yaml",
+        "sweep.yaml",
         "optimum.yaml",
         # composed below, each with its command
         *(
             f"{group}/{path.name}"
-            for group in ("benchmark", "drive", "method")
+            for group in ("benchmark", "drive", "engine", "method")
             for path in (CONF / group).glob("*.yaml")
         ),
         "track/file.yaml",

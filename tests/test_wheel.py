@@ -33,5 +33,11 @@ def test_a_wheel_carries_its_configurations(tmp_path):
     done = subprocess.run([*program, str(site), *words], cwd=empty, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     assert (empty / "run" / "policy.safetensors").is_file()
-    for page in ("report/page.html.j2", "report/paper/table1_controllers.csv", "conf/track/l_shape.csv"):
+    for page in (
+        "report/page.html.j2",
+        "report/sweep_part.html.j2",
+        "sweeps/ablations.yaml",
+        "report/paper/table1_controllers.csv",
+        "conf/track/l_shape.csv",
+    ):
         assert f"racerl/{page}" in names

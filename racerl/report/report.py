@@ -4,12 +4,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from racerl.errors import RunError
 from racerl.optimum.floor import gap
 from racerl.report import paper_values
 from racerl.report.figures import channels, lap_times, learning_curve, racing_line
 from racerl.report.page import figure, write_page
 from racerl.report.subjects import Subject, find_subjects
-from racerl.run import RunFolder
+from racerl.report.sweep_page import section
+from racerl.run import RunFolder, find_runs
 
 FIGURES = (
     ("racing_line", racing_line.draw, "Racing line", "Fastest lap over the track, coloured by speed."),
@@ -31,9 +33,17 @@ FIGURES = (
 
 
 def report(settings: Mapping[str, Any], out: Path, outputs: Path = Path("outputs")) -> Path:
-    """Write the page about `settings["runs"]`, or about all finished runs under `outputs`; return its path."""
+    """Write the page about `settings["runs"]`, or about all finished runs under `outputs`; return its path.
+
+    Raises RunError when there is none, or one is damaged.
+    """
     runs = [settings["runs"]] if isinstance(settings["runs"], str) else list(settings["runs"])
-    subjects = find_subjects([Path(run) for run in runs], outputs)
+    given = [RunFolder.open(Path(run)) for run in runs]
+    swept = [run.path for run in given or find_runs(outputs) if run.manifest["stage"] == "sweep"]
+    others = [run.path for run in given if run.path not in swept]
+    subjects = find_subjects(others, outputs) if others or not given else []
+    if not subjects and not swept:
+        raise RunError(f"{outputs}: holds no finished run; train one with: racerl train +dr=friction_0.02")
     folder = RunFolder.start(out, "report", settings)
     figures = [
         figure(folder.path / f"{name}.svg", title, caption, svg)
@@ -43,8 +53,9 @@ def report(settings: Mapping[str, Any], out: Path, outputs: Path = Path("outputs
     page = write_page(
         folder.path,
         "page.html.j2",
-        rows=[*map(_row, subjects), *_paper_rows()],
+        rows=[*map(_row, subjects), *_paper_rows()] if subjects else [],
         figures=figures,
+        sweeps=[section(path, folder.path / path.name) for path in swept],
         remarks=_remarks(subjects),
         provenance=[run for subject in subjects for run in _provenance(subject)],
     )

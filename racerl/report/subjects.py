@@ -83,7 +83,7 @@ class Subject:
 
 
 def find_subjects(paths: list[Path], outputs: Path) -> list[Subject]:
-    """Return the subjects of the runs given, or of all complete runs under `outputs`; raise RunError when none.
+    """Return the subjects of the runs given, or of all complete runs under `outputs`.
 
     A training run comes with its newest evaluation under `outputs`, unless evaluations of it are given.
     """
@@ -100,8 +100,6 @@ def find_subjects(paths: list[Path], outputs: Path) -> list[Subject]:
         for run in given or around
         if run.manifest["stage"] == "train" and run.manifest["run_id"] not in raced
     ]
-    if not pairs:
-        raise RunError(f"{outputs}: holds no finished run; train one with: racerl train +dr=friction_0.02")
     pairs.sort(key=lambda pair: str(next(run for run in pair if run).manifest.get("started")))
     return _with_own_titles([_subject(*pair, around) for pair in pairs])
 

@@ -1,11 +1,10 @@
 """The page about a sweep: claims, arms and the paper's own figures, drawn from the sweep's files alone."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import pandas as pd
 
 from racerl.documents import read_json
@@ -53,26 +52,27 @@ class Findings:
 
 def draw_sweep(run: Path) -> Path:
     """Write the figures and the page of a sweep into its folder; return the page's path."""
-    folder = RunFolder.open_complete(run, "sweep")
+    return write_page(run, "sweep_page.html.j2", sweep=section(run, run))
+
+
+def section(run: Path, out: Path) -> dict[str, Any]:
+    """Write a sweep's figures into a folder; return what a page says of it. Raises RunError for a damaged one."""
+    folder = RunFolder.open(run, "sweep")
     try:
         found = Findings.read(folder.path)
-        figures = [
-            figure(folder.path / f"{name}.svg", title, caption, svg)
-            for name, title, caption, svg in drawn(found)
-            if svg
-        ]
         origin = provenance(folder.manifest)
-        return write_page(
-            folder.path,
-            "sweep_page.html.j2",
-            facts=found.facts,
-            claims=[_claim(claim) for claim in found.facts["claims"]],
-            tables=[_table(found, sweep) for sweep in found.facts["sweeps"]],
-            table_1=_table_1(found),
-            figures=figures,
-            provenance={key: origin[key] for key in ("git_sha", "cpu", "threads")},  # what repeats
-        )
-    except (DocumentError, OSError, ValueError, KeyError, TypeError, jinja2.UndefinedError) as error:
+        return {
+            "name": folder.path.name,
+            "facts": found.facts,
+            "claims": [_claim(claim) for claim in found.facts["claims"]],
+            "tables": [_table(found, sweep) for sweep in found.facts["sweeps"]],
+            "table_1": _table_1(found),
+            "figures": [
+                figure(out / f"{name}.svg", title, caption, svg) for name, title, caption, svg in drawn(found) if svg
+            ],
+            "provenance": {key: origin[key] for key in ("git_sha", "cpu", "threads")},  # what repeats
+        }
+    except (DocumentError, OSError, ValueError, KeyError, TypeError) as error:
         raise RunError(f"{run}: is damaged ({' '.join(str(error).split())}); sweep again") from error
 
 
@@ -105,8 +105,18 @@ def drawn(found: Findings) -> Iterator[tuple[str, str, str, str | None]]:
         "transfer",
         "From the model to the other cars",
         "The same policies in every car, means over seeds with 95 % intervals.",
-        transfer.draw(found.facts["arms"]),
+        transfer.draw(list(_distinct(found.facts["arms"]))),
     )
+
+
+def _distinct(arms: Iterable[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    """Yield the arms without those that are another sweep's under a second name."""
+    seen = set()
+    for row in arms:
+        same = (row["car"], *(row[metric]["value"] for metric in METRICS))
+        if same not in seen:
+            yield row
+        seen.add(same)
 
 
 def _number(metric: str, value: float | None) -> str:

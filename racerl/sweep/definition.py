@@ -27,7 +27,7 @@ METRICS = {
 
 
 @dataclass(frozen=True)
-class Test:
+class Comparison:
     """A contrast between arms and the side of a limit that it must lie on, in one car.
 
     Σ w_k m(arm_k), w given (`contrast`) or those of the least-squares slope over numbers (`slope`), divided by the
@@ -86,7 +86,7 @@ class Claim:
 
     number: int
     says: str
-    tests: tuple[Test, ...]
+    tests: tuple[Comparison, ...]
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,7 @@ def _claims(name: str, content: Mapping[Any, Any]) -> Iterator[Claim]:
         where = f"sweeps/{name}.yaml: claims.{number}"
         if not isinstance(claim, Mapping) or set(claim) != {"says", "tests"} or not claim["tests"]:
             raise ConfigError(f"{where}: says and tests are expected")
-        tests = tuple(construct(Test, test, where) for test in claim["tests"])
+        tests = tuple(construct(Comparison, test, where) for test in claim["tests"])
         yield Claim(bounds.whole(f"{where}: number", number, 1, 1000), str(claim["says"]), tests)
 
 

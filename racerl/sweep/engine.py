@@ -50,7 +50,7 @@ class Slot:
 
 
 @contextmanager
-def alone(folder: Path) -> Iterator[Path]:
+def alone(folder: Path) -> Iterator[None]:
     """Hold a sweep's folder; raise RunError when another sweep does."""
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / OWNER).open("a+") as lock:
@@ -63,23 +63,23 @@ def alone(folder: Path) -> Iterator[Path]:
         lock.truncate(0)
         lock.write(uuid.uuid4().hex)
         lock.flush()
-        yield folder / OWNER
+        yield
 
 
 class Engine:
     """Runs jobs; `settings` are those of `conf/engine/*.yaml`."""
 
-    def __init__(self, settings: Mapping[str, Any], threads: int, folder: Path, owner: Path) -> None:
+    def __init__(self, settings: Mapping[str, Any], threads: int, folder: Path) -> None:
         self.kind = settings.get("name")
         if self.kind not in KINDS:
             raise ConfigError(f"engine.name = {self.kind}: allowed is {' or '.join(KINDS)}")
-        self.settings, self.threads, self.folder, self.owner = settings, threads, folder, owner
+        self.settings, self.threads, self.folder = settings, threads, folder
         self.retries = bounds.whole("engine.retries", settings["retries"], 0, 100)
         room = max(1, len(os.sched_getaffinity(0)) // threads)
         self.most = room if settings["jobs"] is None else bounds.whole("engine.jobs", settings["jobs"], 1, 10_000)
 
     def run(self, jobs: Sequence[Job], on_status: Callable[[Sequence[Status]], None] = lambda rows: None) -> list[Job]:
-        """Run all jobs to their end; return those that failed."""
+        """Run all jobs to their end, `alone` in the folder; return those that failed."""
         tries = {job.name: 0 for job in jobs}
         waiting = [job for job in jobs if not job.done]
         failed: list[Job] = []
@@ -107,7 +107,7 @@ class Engine:
 
     def _submit(self, job: Job) -> Slot:
         folder = self.folder / PICKLES / uuid.uuid4().hex[:8]
-        owner = str(self.owner.resolve()) if self.kind == "local" else None
+        owner = str((self.folder / OWNER).resolve()) if self.kind == "local" else None
         with _environment(self.threads):
             executor = submitit.AutoExecutor(folder=folder, cluster=self.kind)
             options = {key: value for key, value in self.settings.items() if key not in ("name", "jobs", "retries")}

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from racerl.sweep.definition import METRICS, Claim, Sweep, Test
+from racerl.sweep.definition import METRICS, Claim, Comparison, Sweep
 
 Array = NDArray[np.float64]
 RESAMPLES = 1000
@@ -112,7 +112,7 @@ def judge(claim: Claim, sweep: Sweep, samples: Mapping[str, Samples]) -> dict[st
     return {"claim": claim.number, "says": claim.says, "sweep": sweep.name, "verdict": verdict, "tests": tests}
 
 
-def _test(test: Test, sweep: Sweep, samples: Mapping[str, Samples]) -> dict[str, Any]:
+def _test(test: Comparison, sweep: Sweep, samples: Mapping[str, Samples]) -> dict[str, Any]:
     facts: dict[str, Any] = {
         "metric": test.metric,
         "car": test.car,
@@ -143,7 +143,7 @@ def _test(test: Test, sweep: Sweep, samples: Mapping[str, Samples]) -> dict[str,
     return {**facts, "effect": float(effect), "ci95": interval, "holds": test.holds(*interval)}
 
 
-def contrast(test: Test, metrics: Mapping[str, Array]) -> Array:
+def contrast(test: Comparison, metrics: Mapping[str, Array]) -> Array:
     """Return the contrast of a test from metrics per arm, elementwise."""
     total: Array = np.sum([weight * metrics[arm] for arm, weight in test.weights.items()], axis=0)
     return total / metrics[test.relative_to] if test.relative_to else total

@@ -18,6 +18,7 @@ from racerl.documents import read_json, write_json, write_text
 from racerl.errors import ConfigError, RunError
 from racerl.run import MANIFEST, Compose, RunFolder
 from racerl.sweep.definition import Sweep, read_sweeps
+from racerl.sweep.engine import LOGS as JOB_LOGS
 from racerl.sweep.engine import Engine, Status, alone
 from racerl.sweep.jobs import Plan, plan
 from racerl.sweep.measures import learning, measure, usual_steering
@@ -36,22 +37,26 @@ def sweep(
 ) -> dict[str, Any]:
     """Run the sweep of `settings["name"]` into `out`; return what was written to results.json.
 
-    Raises ConfigError for what cannot be composed, RunError when another sweep is at work in `out` or jobs failed.
+    Raises ConfigError for what cannot be composed, RunError when another sweep is at work in `out` or all jobs failed;
+    `failed` among the results holds the last words of single jobs that did.
     """
     sweeps = read_sweeps(str(settings["name"]))
     check(settings)
     planned = plan(sweeps, settings, out, compose)
+    engine = Engine(settings["engine"], settings["threads"], out)
     decisive = {key: value for key, value in settings.items() if key != "engine"}
     folder = RunFolder.start(out, "sweep", decisive, again=True, threads=settings["threads"])
-    with alone(out) as owner:
-        engine = Engine(settings["engine"], settings["threads"], out, owner)
-        failed = engine.run(planned.jobs, on_status)
-        facts = summarise(planned, settings, out) if any(job.done for job in planned.jobs) else {}
-        if failed:
-            words = "; ".join(f"{job.name}: {engine.last_words(job)}" for job in failed)
-            raise RunError(f"{len(failed)} of {len(planned.jobs)} jobs failed: {words}; the same command tries again")
-        seconds = sum(read_json(job.trained / MANIFEST)["seconds"] for job in planned.jobs)
-        folder.finish(jobs=len(planned.jobs), training_seconds=round(seconds, 1))
+    with alone(out):
+        failed = {job.name: engine.last_words(job) for job in engine.run(planned.jobs, on_status)}
+        if len(failed) == len(planned.jobs):
+            name, words = next(iter(failed.items()))
+            raise RunError(
+                f"all {len(failed)} jobs failed, {name}: {words}; what they printed stands in {out / JOB_LOGS}"
+            )
+        facts = summarise(planned, settings, out, failed)
+        if not failed:
+            seconds = sum(read_json(job.trained / MANIFEST)["seconds"] for job in planned.jobs)
+            folder.finish(jobs=len(planned.jobs), training_seconds=round(seconds, 1))
     return facts
 
 
@@ -68,7 +73,7 @@ def check(settings: Mapping[str, Any]) -> None:
         raise ConfigError(f"cars = {settings['cars']}: a list of names from conf/car is expected")
 
 
-def summarise(planned: Plan, settings: Mapping[str, Any], out: Path) -> dict[str, Any]:
+def summarise(planned: Plan, settings: Mapping[str, Any], out: Path, failed: Mapping[str, str]) -> dict[str, Any]:
     """Write what the finished jobs came to; return results.json."""
     cars = list(settings["cars"])
     tables = gather(planned, cars)
@@ -78,6 +83,7 @@ def summarise(planned: Plan, settings: Mapping[str, Any], out: Path) -> dict[str
     facts = {
         **results(planned.sweeps, cars, tables[LAPS], tables[TRAININGS]),
         "jobs": {"planned": len(planned.jobs), "done": sum(job.done for job in planned.jobs)},
+        "failed": dict(failed),
     }
     write_json(out / RESULTS, facts)
     return facts

@@ -14,8 +14,11 @@ def draw(learning: pd.DataFrame) -> str | None:
     """Return the SVG from rows of sweep, arm, seed, steps and reward; None without any."""
     curves: dict[str, tuple[np.ndarray, np.ndarray]] = {}
     for (_, arm), rows in learning.groupby(["sweep", "arm"], sort=False):
-        steps = np.linspace(0.0, float(rows["steps"].max()), POINTS)
-        curves.setdefault(arm, (steps, np.array([_on(steps, one) for _, one in rows.groupby("seed")])))
+        each = [one for _, one in rows.groupby("seed")]
+        # where all of them were heard of
+        first, last = max(one["steps"].min() for one in each), min(one["steps"].max() for one in each)
+        steps = np.linspace(float(first), float(last), POINTS)
+        curves.setdefault(arm, (steps, np.array([np.interp(steps, one["steps"], one["reward"]) for one in each])))
     if not curves:
         return None
     with style():
@@ -23,8 +26,8 @@ def draw(learning: pd.DataFrame) -> str | None:
         ours, theirs = figure.subplots(1, 2)
         for i, (arm, (steps, rewards)) in enumerate(curves.items()):
             label = f"{arm.replace('_', ' ')} ({len(rewards)} seeds)"
-            ours.plot(steps / 1e6, np.nanmean(rewards, axis=0), color=colour(i), lw=1.4, label=label)
-            low, high = np.nanmin(rewards, axis=0), np.nanmax(rewards, axis=0)
+            ours.plot(steps / 1e6, np.mean(rewards, axis=0), color=colour(i), lw=1.4, label=label)
+            low, high = np.min(rewards, axis=0), np.max(rewards, axis=0)
             ours.fill_between(steps / 1e6, low, high, color=colour(i), alpha=0.2, lw=0)
         for i, (name, rows) in enumerate(paper_values.figure_4().groupby("curve")):
             theirs.plot(
@@ -36,8 +39,3 @@ def draw(learning: pd.DataFrame) -> str | None:
             axis.set_ylim(bottom=0.0)
             axis.legend(loc="lower right", fontsize=8)
         return to_svg(figure)
-
-
-def _on(steps: np.ndarray, rows: pd.DataFrame) -> np.ndarray:
-    """Return one training's rewards on a common grid of steps, NaN outside of it."""
-    return np.interp(steps, rows["steps"], rows["reward"], left=np.nan, right=np.nan)

@@ -1,0 +1,110 @@
+"""Sweeps as files: what is packaged holds together, and a mistake in one's own is told in one line."""
+
+import pytest
+import yaml
+
+from racerl.config import compose_settings
+from racerl.errors import RacerlError
+from racerl.run import config_hash
+from racerl.sweep.definition import METRICS, Comparison, folder, read_sweeps
+
+NAMES = sorted(path.stem for path in folder().glob("*.yaml"))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_packaged_sweep_can_be_read(name):
+    for sweep in read_sweeps(name):
+        assert sweep.question and sweep.seeds and set(sweep.metrics) <= set(METRICS)
+        measured = {test.metric for claim in sweep.claims for test in claim.tests}
+        assert measured <= set(sweep.metrics), "what decides a claim is shown"
+
+
+def test_the_ablations_are_the_papers():
+    sweeps = read_sweeps("ablations")
+    assert sorted(claim.number for sweep in sweeps for claim in sweep.claims) == list(range(1, 11))
+    trained = {
+        config_hash(compose_settings("train", [*sweep.base, *words])): arm
+        for sweep in sweeps
+        for arm, words in sweep.arms.items()
+    }
+    assert len(trained) == 10, trained
+
+
+def write(tmp_path, monkeypatch, **changes):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "sweeps").mkdir()
+    content = {
+        "question": "Which?",
+        "base": [],
+        "arms": {"a": ["dr=none"], "b": ["dr=friction_0.1"]},
+        "seeds": [0],
+        "metrics": ["lap_time"],
+        "claims": {
+            1: {"says": "b is slower", "tests": [{"metric": "lap_time", "contrast": {"b": 1, "a": -1}, "above": 0}]}
+        },
+    }
+    content |= changes
+    text = yaml.safe_dump({key: value for key, value in content.items() if value is not None})
+    (tmp_path / "sweeps" / "mine.yaml").write_text(text)
+
+
+def test_a_users_sweep_comes_first(tmp_path, monkeypatch):
+    write(tmp_path, monkeypatch)
+    (sweep,) = read_sweeps("mine")
+    assert sweep.arms["b"] == ("dr=friction_0.1",) and sweep.claims[0].tests[0].weights == {"b": 1.0, "a": -1.0}
+
+
+def claiming(**test):
+    return {1: {"says": "so", "tests": [{"metric": "lap_time", "contrast": {"a": 1}, "above": 0} | test]}}
+
+
+@pytest.mark.parametrize(
+    "changes, said",
+    [
+        ({"arm": {}}, "unknown key 'arm'.*arms"),
+        ({"question": None}, "question is missing"),
+        ({"arms": ["a"]}, "mapping"),
+        ({"arms": {"a": "dr=none"}}, "list of words"),
+        ({"seeds": [-1]}, "seeds = -1"),
+        ({"metrics": ["laptime"]}, "unknown metric 'laptime'.*lap_time"),
+        ({"claims": claiming(metric="laps")}, "unknown metric 'laps'"),
+        ({"claims": claiming(contrast={"c": 1})}, "no arm 'c'"),
+        ({"claims": claiming(below=1)}, "one limit"),
+        ({"claims": claiming(slope={"a": 1})}, "either contrast or slope"),
+        ({"claims": claiming(unter=1)}, "no setting 'unter'"),
+        ({"claims": {1: {"says": "so"}}}, "says and tests"),
+    ],
+)
+def test_a_mistake_is_told(tmp_path, monkeypatch, changes, said):
+    write(tmp_path, monkeypatch, **changes)
+    with pytest.raises(RacerlError, match=said):
+        read_sweeps("mine")
+
+
+@pytest.mark.parametrize("name", ["ablation", "../conf/train", "nothing"])
+def test_an_unknown_sweep_is_told(name):
+    with pytest.raises(RacerlError, match="unknown sweep"):
+        read_sweeps(name)
+
+
+def test_the_slope_is_that_of_least_squares():
+    points = {"a": 0.0, "b": 0.02, "c": 0.05, "d": 0.1}
+    weights = Comparison(metric="lap_time", slope=points, above=0.0).weights
+    assert sum(weight * (3.0 + 7.0 * points[arm]) for arm, weight in weights.items()) == pytest.approx(7.0)
+
+
+@pytest.mark.parametrize(
+    "limit, low, high, holds",
+    [
+        ({"above": 1.0}, 1.1, 2.0, True),
+        ({"above": 1.0}, 0.5, 0.9, False),
+        ({"above": 1.0}, 0.9, 1.1, None),
+        ({"below": 0.0}, -2.0, -1.0, True),
+        ({"below": 0.0}, 0.1, 1.0, False),
+        ({"within": 0.1}, -0.05, 0.09, True),
+        ({"within": 0.1}, 0.2, 0.3, False),
+        ({"within": 0.1}, -0.2, 0.3, None),
+    ],
+)
+def test_which_side_an_interval_lies_on(limit, low, high, holds):
+    assert Comparison(metric="lap_time", contrast={"a": 1.0}, **limit).holds(low, high) is holds

@@ -1,0 +1,120 @@
+"""From laps to verdicts, on laps whose truth is known."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from racerl.sweep import statistics
+from racerl.sweep.definition import Claim, Comparison, Sweep
+from racerl.sweep.measures import STEP, final_reward, turn_in
+from racerl.sweep.statistics import contrast, judge, resample, spread
+
+SLOWER = Comparison(metric="lap_time", contrast={"b": 1.0, "a": -1.0}, above=0.0)
+
+
+@pytest.fixture(autouse=True)
+def few_resamples(monkeypatch):
+    monkeypatch.setattr(statistics, "RESAMPLES", 200)
+
+
+def driven(means, seeds=3, laps=20, seed_spread=0.1, lap_spread=0.02, draw=0):
+    """Return laps and trainings of arms whose mean lap time is known; a seed's luck is common to all arms."""
+    generator = np.random.default_rng(draw)
+    luck = generator.normal(0.0, seed_spread, seeds)
+    rows, trainings = [], []
+    for arm, mean in means.items():
+        for seed in range(seeds):
+            trainings.append({"arm": arm, "seed": seed, "reward": 0.1 * mean})
+            for start in range(3):
+                for number in range(laps):
+                    time = mean + luck[seed] + generator.normal(0.0, lap_spread)
+                    rows.append(
+                        {
+                            "arm": arm,
+                            "seed": seed,
+                            "start": start,
+                            "number": number,
+                            "time_s": time,
+                            "e_off": 0.001,
+                            "off_track_m": 0.0,
+                            "crashed": False,
+                            "valid": number % 2 == 0,
+                            "turn_in_m": 0.1,
+                        }
+                    )
+    return pd.DataFrame(rows), pd.DataFrame(trainings)
+
+
+def verdict(test, laps, trainings):
+    sweep = Sweep("s", "?", (), dict.fromkeys(laps["arm"].unique(), ()), (0, 1, 2), ("lap_time",), ())
+    samples = {"twin": resample(laps, trainings, np.random.default_rng(0))}
+    return judge(Claim(1, "b is slower", (test,)), sweep, samples)
+
+
+@pytest.mark.parametrize("difference, expected", [(0.2, "supported"), (-0.2, "refuted"), (0.0, "undecided")])
+def test_a_claim_is_decided_by_the_truth(difference, expected):
+    found = verdict(SLOWER, *driven({"a": 5.5, "b": 5.5 + difference}, draw=1))
+    assert found["verdict"] == expected
+    low, high = found["tests"][0]["ci95"]
+    assert low <= found["tests"][0]["effect"] <= high
+
+
+def test_luck_that_arms_share_does_not_count():
+    laps, trainings = driven({"a": 5.5, "b": 5.55}, seed_spread=0.5)
+    samples = resample(laps, trainings, np.random.default_rng(0))
+    alone = np.diff(samples.interval("a", "lap_time"))[0]
+    apart = np.diff(spread(contrast(SLOWER, {arm: samples.resampled[arm]["lap_time"] for arm in "ab"})))[0]
+    assert apart < 0.05 * alone
+
+
+def test_intervals_hold_the_truth_about_as_often_as_they_say():
+    inside = 0
+    for draw in range(40):
+        samples = resample(*driven({"a": 5.5}, seeds=10, laps=4, draw=draw), np.random.default_rng(draw))
+        low, high = samples.interval("a", "lap_time")
+        inside += low <= 5.5 <= high
+    assert inside >= 33  # 95 % of 40 is 38; ten seeds make them somewhat narrow
+
+
+def test_the_metrics_are_those_of_the_laps():
+    laps, trainings = driven({"a": 5.5}, seed_spread=0.0, lap_spread=0.0)
+    laps.loc[(laps["number"] == 0), ["time_s", "crashed", "valid", "off_track_m"]] = [np.nan, True, False, 0.3]
+    samples = resample(laps, trainings, np.random.default_rng(0))
+    assert samples.value("a", "lap_time") == pytest.approx(5.5) and samples.value("a", "fastest") == pytest.approx(5.5)
+    assert samples.value("a", "crash_share") == pytest.approx(1 / 20)
+    assert samples.value("a", "valid_share") == pytest.approx(9 / 20)
+    assert samples.value("a", "off_track") == pytest.approx(0.3)
+    assert samples.value("a", "reward") == pytest.approx(0.55)
+
+
+def test_what_was_never_finished_leaves_a_claim_open():
+    laps, trainings = driven({"a": 5.5, "b": 6.0})
+    laps.loc[laps["arm"] == "b", "time_s"] = np.nan
+    found = verdict(SLOWER, laps, trainings)
+    assert found["verdict"] == "undecided" and "none for b" in found["tests"][0]["why"]
+
+
+def test_what_was_never_driven_leaves_a_claim_open():
+    found = verdict(Comparison(metric="lap_time", contrast={"a": 1.0, "mpc": -1.0}, below=0.0), *driven({"a": 5.5}))
+    assert found["verdict"] == "undecided" and found["tests"][0]["why"] == "mpc has not been driven"
+
+
+def test_drawn_twice_is_drawn_alike():
+    laps, trainings = driven({"a": 5.5, "b": 5.6})
+    assert verdict(SLOWER, laps, trainings) == verdict(SLOWER, laps, trainings)
+
+
+@pytest.mark.parametrize("metres", [-0.83, -0.1, 0.0, 0.37, 1.2])
+def test_turn_in_is_the_lead_of_the_steering(metres):
+    s = np.arange(0.0, 17.5, STEP)
+
+    def bends(at):
+        return sum(np.exp(-0.5 * (((s - place - at + 8.75) % 17.5 - 8.75) / 0.8) ** 2) for place in (2.0, 7.5, 11.0))
+
+    assert turn_in(0.4 * bends(-metres), bends(0.0)) == pytest.approx(metres, abs=0.01)
+
+
+def test_the_reward_is_that_of_the_end():
+    steps = np.arange(1, 101)
+    assert final_reward(pd.DataFrame({"steps": steps, "reward": np.where(steps >= 90, 0.5, 0.0)})) == 0.5
+    assert final_reward(pd.DataFrame({"steps": [], "reward": []})) is None

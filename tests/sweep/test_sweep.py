@@ -1,0 +1,175 @@
+"""The sweep as users run it: processes, locks, failures, and a plug that is pulled."""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from racerl.cli import _sweep_words
+from racerl.config import compose_settings
+from racerl.errors import RacerlError
+from racerl.sweep.sweep import sweep as run
+
+ARMS = {"a": ["dr=none"], "b": ["sim=no_actuators"]}
+CLAIM = "{metric: turn_in, contrast: {a: 1, b: -1}, above: 0}"
+SMALL = ["budget=smoke", "laps=1", "starts=[0]"]
+
+
+@pytest.fixture
+def place(tmp_path):
+    """A folder with a sweep of its own."""
+    (tmp_path / "sweeps").mkdir()
+    arms = "\n".join(f"  {name}: {json.dumps(words)}" for name, words in ARMS.items())
+    (tmp_path / "sweeps" / "mine.yaml").write_text(
+        f"question: Which?\nbase: []\narms:\n{arms}\n  c: [dr=none]\nseeds: [0]\nmetrics: [lap_time, turn_in]\n"
+        f"claims:\n  7:\n    says: a is earlier.\n    tests: [{CLAIM}]\n"
+    )
+    return tmp_path
+
+
+def start(place, *words):
+    command = [sys.executable, "-m", "racerl.cli", "sweep", "mine", *SMALL, *words]
+    return subprocess.Popen(command, cwd=place, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def sweep(place, *words):
+    process = start(place, *words)
+    out, error = process.communicate(timeout=300)
+    return process.returncode, out, error
+
+
+def at_work(out):
+    """Return the processes that work on jobs of a sweep's folder."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            words = path.read_bytes().decode(errors="replace").split("\0")
+        except OSError:
+            continue
+        if any("submitit" in word for word in words) and any(word.startswith(str(out)) for word in words):
+            found.append(int(path.parent.name))
+    return found
+
+
+def wait_for(condition, seconds=60.0):
+    until = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < until
+        time.sleep(0.1)
+
+
+def results(out):
+    """Return the bytes of everything that must repeat."""
+    weights = {path.parent.parent.name: path.read_bytes() for path in out.glob("jobs/*/train/policy.safetensors")}
+    names = ("laps.csv", "learning.csv", "trainings.csv", "results.json", "report.html")
+    return weights | {name: (out / name).read_bytes() for name in names}
+
+
+def test_a_sweep_trains_shared_arms_once_and_passes_over_what_is_done(place):
+    code, printed, _ = sweep(place, "out=once")
+    assert code == 0 and "claim 7" in printed and "report in once/report.html" in printed
+    out = place / "once"
+    assert len(list((out / "jobs").iterdir())) == 2  # c is a
+    facts = json.loads((out / "results.json").read_text())
+    assert facts["jobs"] == {"planned": 2, "done": 2} and {row["arm"] for row in facts["arms"]} == {"a", "b", "c"}
+    assert {row["car"] for row in facts["arms"]} == {"model", "twin"}
+    manifest = json.loads((out / "jobs").glob("a-0-*").__next__().joinpath("train/manifest.json").read_text())
+    assert manifest["threads"] == 1 and not (out / ".submitit").exists()
+    before, written = results(out), {path: path.stat().st_mtime for path in out.glob("jobs/*/*/manifest.json")}
+    code, _, _ = sweep(place, "out=once")
+    assert code == 0 and results(out) == before
+    assert {path: path.stat().st_mtime for path in out.glob("jobs/*/*/manifest.json")} == written
+    code, _, error = sweep(place, "out=once", "laps=2")
+    assert code == 2 and "already holds another sweep" in error and error.count("\n") == 1
+
+
+def test_two_sweeps_in_one_folder_and_a_plug_pulled(place):
+    out = place / "twice"
+    first = start(place, f"out={out}")
+    wait_for(lambda: len(at_work(out)) > 0)
+    code, _, error = sweep(place, f"out={out}")
+    assert code == 2 and "another sweep is at work" in error and error.count("\n") == 1
+    first.kill()
+    first.wait()
+    wait_for(lambda: not at_work(out), 15.0)
+
+
+def test_a_job_that_fails_takes_no_other_along(place):
+    out = place / "failing"
+    started = start(place, f"out={out}", "engine.jobs=1", "engine.retries=0")
+    wait_for(lambda: (out / "jobs").is_dir() and any((out / "jobs").glob("a-0-*/state.json")))
+    for process in at_work(out):
+        if "submitit.core" in Path(f"/proc/{process}/cmdline").read_text():
+            os.kill(process, signal.SIGKILL)
+    _, error = started.communicate(timeout=300)
+    assert started.returncode == 2 and "1 of 2 jobs failed" in error and error.count("\n") == 1
+    facts = json.loads((out / "results.json").read_text())
+    assert list(facts["failed"]) == ["a-0"] and {row["arm"] for row in facts["arms"]} == {"b"}
+    assert "a-0 failed" in (out / "report.html").read_text()
+    assert sweep(place, f"out={out}")[0] == 0  # tried again
+    assert json.loads((out / "results.json").read_text())["failed"] == {}
+
+
+@pytest.mark.parametrize(
+    "words, said",
+    [
+        (["threads=0"], "threads = 0"),
+        (["engine=cloud"], "unknown engine 'cloud'"),
+        (["engine.jobs=0"], "engine.jobs = 0"),
+        (["engine.retries=-1"], "engine.retries = -1"),
+        (["seeds=[x]"], "seeds = x"),
+        (["cars=[truck]"], "unknown car 'truck'"),
+        (["words=['dr=icy']"], "unknown dr 'icy'"),
+        (["laps=many"], "laps = many"),
+        (["name=minr"], "unknown sweep 'minr'.*mine"),
+    ],
+)
+def test_a_mistake_is_told_and_leaves_nothing(place, monkeypatch, words, said):
+    monkeypatch.chdir(place)
+    with pytest.raises(RacerlError, match=said):
+        run(compose_settings("sweep", ["name=mine", *words]), place / "none", compose_settings)
+    assert not (place / "none").exists()
+
+
+def test_words_that_are_no_own_keys_are_those_of_training():
+    words = _sweep_words(["mine", "budget=smoke", "+dr=none", "engine.jobs=2", "laps=3", "vehicle.friction=0.7", "-m"])
+    assert words == [
+        "mine",
+        "engine.jobs=2",
+        "laps=3",
+        "-m",
+        "words=['budget=smoke','+dr=none','vehicle.friction=0.7']",
+    ]
+
+
+@pytest.mark.slow
+def test_killed_at_random_it_comes_to_the_same(place):
+    words = ("seeds=[0,1]", "budget.steps=40000")
+    assert sweep(place, "out=calm", *words)[0] == 0
+    out, dice = place / "stormy", random.Random(3)  # noqa: S311
+    for _ in range(12):
+        process = start(place, f"out={out}", *words)
+        try:
+            process.wait(timeout=dice.uniform(4.0, 14.0))
+            break
+        except subprocess.TimeoutExpired:
+            jobs = at_work(out)
+            victim = dice.choice([process.pid, *jobs])
+            os.kill(victim, signal.SIGKILL)
+            if victim != process.pid:
+                time.sleep(1.0)
+                process.kill()
+            process.wait()
+            wait_for(lambda: not at_work(out), 15.0)
+    else:
+        assert sweep(place, f"out={out}", *words)[0] == 0
+    assert process.returncode in (0, -9)
+    assert sweep(place, f"out={out}", *words)[0] == 0
+    calm, stormy = results(place / "calm"), results(out)
+    assert {name for name in calm if calm[name] != stormy[name]} == set()
