@@ -5,8 +5,11 @@ about; none takes others along. What submitit pickles stays inside the sweep's f
 """
 
 import fcntl
+import getpass
+import logging
 import os
 import shutil
+import subprocess
 import time
 import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -25,7 +28,7 @@ from racerl.sweep.work import STATE, work
 
 OWNER, PICKLES, LOGS = ".sweep", ".submitit", "logs"
 KINDS = ("local", "slurm")
-PERIOD = 0.5  # s between looks at the jobs
+PERIOD = {"local": 0.5, "slurm": 2.0}  # s between looks at the jobs
 TAIL = 400  # characters of a failed job's last words
 THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
@@ -70,9 +73,14 @@ class Engine:
     """Runs jobs; `settings` are those of `conf/engine/*.yaml`."""
 
     def __init__(self, settings: Mapping[str, Any], threads: int, folder: Path) -> None:
-        self.kind = settings.get("name")
+        self.kind = str(settings.get("name"))
         if self.kind not in KINDS:
             raise ConfigError(f"engine.name = {self.kind}: allowed is {' or '.join(KINDS)}")
+        if self.kind == "slurm" and not shutil.which("sbatch"):
+            raise ConfigError(
+                "engine = slurm: sbatch is not there; run it where jobs are submitted, or use engine=local"
+            )
+        logging.getLogger("submitit").setLevel(logging.ERROR)
         self.settings, self.threads, self.folder = settings, threads, folder
         self.retries = bounds.whole("engine.retries", settings["retries"], 0, 100)
         room = max(1, len(os.sched_getaffinity(0)) // threads)
@@ -90,8 +98,8 @@ class Engine:
                     job = waiting.pop(0)
                     tries[job.name] += 1
                     slots.append(self._submit(job))
-                time.sleep(PERIOD)
-                for slot in [slot for slot in slots if slot.handle.done()]:
+                time.sleep(PERIOD[self.kind])
+                for slot in self._over(slots):
                     slots.remove(slot)
                     if not slot.job.done:
                         self._keep_log(slot)
@@ -105,12 +113,21 @@ class Engine:
             shutil.rmtree(self.folder / PICKLES, ignore_errors=True)
         return failed
 
+    def _over(self, slots: Sequence[Slot]) -> list[Slot]:
+        """Return the slots whose process has ended."""
+        # a cluster without accounting tells submitit nothing of a job that was killed
+        queued = _queued() if self.kind == "slurm" else None
+        return [
+            slot for slot in slots if slot.handle.done() or (queued is not None and slot.handle.job_id not in queued)
+        ]
+
     def _submit(self, job: Job) -> Slot:
         folder = self.folder / PICKLES / uuid.uuid4().hex[:8]
         owner = str((self.folder / OWNER).resolve()) if self.kind == "local" else None
         with _environment(self.threads):
             executor = submitit.AutoExecutor(folder=folder, cluster=self.kind)
-            options = {key: value for key, value in self.settings.items() if key not in ("name", "jobs", "retries")}
+            own = ("name", "jobs", "retries")
+            options = {key: value for key, value in self.settings.items() if key not in own and value is not None}
             executor.update_parameters(name="racerl", cpus_per_task=self.threads, stderr_to_stdout=True, **options)
             handle = executor.submit(work, job.name, str(job.path.resolve()), job.train, job.races, owner)
         return Slot(job, handle, folder)
@@ -135,6 +152,16 @@ class Engine:
         except OSError:
             return "it printed nothing"
         return lines[-1][:TAIL] if lines else "it printed nothing"
+
+
+def _queued() -> set[str] | None:
+    """Return this user's jobs that Slurm knows; None where it does not answer."""
+    command = ["squeue", "--noheader", "--format=%A", "--user", getpass.getuser()]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)  # noqa: S603
+        return set(done.stdout.split())
+    except (OSError, subprocess.SubprocessError):
+        return None
 
 
 @contextmanager

@@ -148,6 +148,28 @@ def test_words_that_are_no_own_keys_are_those_of_training():
     ]
 
 
+@pytest.mark.slurm
+def test_the_same_on_a_real_slurm(place, tmp_path_factory, monkeypatch):
+    script, folder = Path(__file__).with_name("slurm.sh"), tmp_path_factory.mktemp("slurm")
+    up = subprocess.run([script, "start", folder], capture_output=True, text=True, timeout=300)
+    assert up.returncode == 0, up.stderr
+    try:
+        for word in up.stdout.split()[1:]:
+            name, _, value = word.partition("=")
+            monkeypatch.setenv(name, os.path.expandvars(value))
+        started = start(place, "out=slurm", "engine=slurm")
+        wait_for(lambda: any((place / "slurm" / "jobs").glob("a-0-*/state.json")))
+        queued = subprocess.run(["squeue", "-h", "-o", "%A"], capture_output=True, text=True, check=True).stdout.split()
+        subprocess.run(["scancel", queued[0]], check=True)  # is tried again
+        _, error = started.communicate(timeout=300)
+        assert started.returncode == 0, error
+        assert sweep(place, "out=local")[0] == 0
+        there, here = results(place / "slurm"), results(place / "local")
+        assert {name for name in here if here[name] != there[name]} == set()
+    finally:
+        subprocess.run([script, "stop", folder], check=True)
+
+
 @pytest.mark.slow
 def test_killed_at_random_it_comes_to_the_same(place):
     words = ("seeds=[0,1]", "budget.steps=40000")
