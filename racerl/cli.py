@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from racerl import __version__
-from racerl.errors import RacerlError, RunError
+from racerl.errors import ConfigError, RacerlError, RunError
 
 if TYPE_CHECKING:
     from racerl.config import Settings
@@ -209,7 +209,12 @@ def sweep(arguments: Sweeps = None) -> None:
     One process per training, as many at once as there are cores; finished ones are passed over, interrupted ones go
     on. Own groups and keys: engine seeds cars laps starts threads out; other words are racerl train's: budget=smoke.
     """
-    _run("sweep", _sweep_words(arguments or []), _sweep, positional="name")
+    words = arguments or []
+    if not any("=" not in word or word.startswith("name=") for word in words):
+        from racerl.sweep.definition import names
+
+        raise ConfigError(f"which sweep? There are {', '.join(names())}: racerl sweep ablations")
+    _run("sweep", _sweep_words(words), _sweep, positional="name")
 
 
 @app.command(context_settings=HYDRA)

@@ -181,7 +181,7 @@ def _bare_override(positional: str, bare: list[str]) -> str:
     if positional.endswith("s"):
         return f"{positional}=[{','.join(_quote(word) for word in bare)}]"
     if len(bare) > 1:
-        raise ConfigError(f"{' '.join(bare)}: one {positional} folder is expected; the rest as key=value")
+        raise ConfigError(f"{' '.join(bare)}: one {positional} is expected; the rest as key=value")
     return f"{positional}={_quote(bare[0])}"
 
 

@@ -282,14 +282,10 @@ def _write_vehicle(
     path: Path, settings: Mapping[str, Any], facts: Mapping[str, Any], investigation: Investigation, found: Found
 ) -> None:
     """Write the refitted vehicle with the effects that were named."""
-    deviations, units = investigation.deviations(found), specifications(found.vehicle)
+    units = specifications(found.vehicle)
     parameters = {
-        name: {
-            "ci95": [found.theta[name] - 1.96 * deviation, found.theta[name] + 1.96 * deviation],
-            "identified": 1.96 * deviation < KNOWN * abs(found.theta[name]),
-            "unit": units[name].unit,
-        }
-        for name, deviation in deviations.items()
+        name: {"ci95": [low, high], "identified": high - low < 2.0 * KNOWN * abs(value), "unit": units[name].unit}
+        for name, (value, low, high) in intervals(investigation, found).items()
     }
     added = {
         name: {key.rpartition(".")[2]: found.theta[key] for key in found.theta if key.startswith(f"effects.{name}.")}

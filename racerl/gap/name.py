@@ -4,6 +4,7 @@ Round by round the effect that helps most on held-out windows is added, until no
 that is no longer needed beside the others is taken out again.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -26,6 +27,7 @@ CLEAR = 3.0  # standard errors by which a gain must differ from zero
 SAME = 2.0  # standard errors within which candidates explain alike
 PARAMETER = 0.01  # share of the excess that one more parameter must explain
 WILD, TYPICAL = 30.0, 10.0  # mean squared deviation of a wild window, and its cost in median ones
+FORM = 0.01  # deviation of an effect's parameters, as a share: forms differ by about that (development logs)
 WORTH = 0.04  # share of the first excess, and of what is left of it before the round, that an effect must explain
 
 
@@ -174,16 +176,18 @@ def _idle(name: str, ranges: Mapping[str, tuple[float, float, float]]) -> bool:
 
 
 def intervals(investigation: Investigation, found: Found) -> dict[str, tuple[float, float, float]]:
-    """Return each fitted parameter's value and 95 % interval, inside the physical bounds."""
+    """Return each fitted parameter's value and 95 % interval, inside the physical bounds.
+
+    An effect's parameters are known no better than to FORM of their values: the car's effect has another form.
+    """
     bounds = {unknown.name: (unknown.low, unknown.high) for unknown in found.problem.unknowns}
-    return {
-        name: (
-            value := found.theta[name],
-            max(value - 1.96 * deviation, bounds[name][0]),
-            min(value + 1.96 * deviation, bounds[name][1]),
-        )
-        for name, deviation in investigation.deviations(found).items()
-    }
+    ranges = {}
+    for name, deviation in investigation.deviations(found).items():
+        value, (low, high) = found.theta[name], bounds[name]
+        form = FORM * abs(value) if name.startswith("effects.") else 0.0
+        half = 1.96 * math.hypot(deviation, form)
+        ranges[name] = value, max(value - half, low), min(value + half, high)
+    return ranges
 
 
 def excess(investigation: Investigation, cost: Mapping[str, Array]) -> float:

@@ -9,6 +9,7 @@ import getpass
 import logging
 import os
 import shutil
+import signal
 import subprocess
 import time
 import uuid
@@ -108,7 +109,8 @@ class Engine:
                     shutil.rmtree(slot.folder, ignore_errors=True)
                 on_status([self._status(job, tries[job.name], slots, failed) for job in jobs])
         finally:
-            for slot in slots:
+            # those on this machine end by themselves once the folder is let go
+            for slot in slots if self.kind == "slurm" else ():
                 slot.handle.cancel()
             shutil.rmtree(self.folder / PICKLES, ignore_errors=True)
         return failed
@@ -166,12 +168,14 @@ def _queued() -> set[str] | None:
 
 @contextmanager
 def _environment(threads: int) -> Iterator[None]:
-    """Let processes that are started inside compute with this many threads."""
+    """Let processes that are started inside compute with this many threads, and leave Ctrl-C to this one."""
     before = {name: os.environ.get(name) for name in THREADS}
     os.environ.update(dict.fromkeys(THREADS, str(threads)))
+    heard = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         yield
     finally:
+        signal.signal(signal.SIGINT, heard)
         for name, value in before.items():
             if value is None:
                 del os.environ[name]
