@@ -21,7 +21,7 @@ from racerl.env.reward import progress_reward
 from racerl.env.sensing import samples, seen, shown
 from racerl.env.termination import STOP_SPEED, OffTrack, Termination
 from racerl.errors import ConfigError
-from racerl.track.frenet import Foot, FrenetFrame, wrap_angle
+from racerl.track.frenet import PLACE, FrenetFrame
 from racerl.track.track import Track
 from racerl.vehicle.delay import delayed, periods
 from racerl.vehicle.kernel import choose_motion
@@ -40,11 +40,7 @@ KEPT = (
     "command_rate",
     "history",
     "shown",
-    "s",
-    "n",
-    "heading",
-    "margin",
-    "offset",
+    "place",
     "still_time",
     "travelled",
     "age",
@@ -88,25 +84,28 @@ class Step(NamedTuple):
 
 
 class Rows:
-    """The rows of the cars' states by name, each (N,)."""
+    """The rows of the cars' states and places by name, each (N,)."""
 
     v_x = property(lambda self: self.state[V_X])
     v_y = property(lambda self: self.state[V_Y])
     yaw_rate = property(lambda self: self.state[YAW_RATE])
     delta = property(lambda self: self.state[DELTA])
     omega = property(lambda self: self.state[OMEGA])
+    s = property(lambda self: self.place[0])
+    n = property(lambda self: self.place[1])
+    heading = property(lambda self: self.place[2])
+    offset = property(lambda self: self.place[3])
+    margin = property(lambda self: self.place[4])
 
 
 @dataclass(frozen=True)
 class View(Rows):
-    """What observations see of some cars: states (S, N), commands (2, N), places (N,), and what they are divided by."""
+    """What observations see of some cars, and what they are divided by."""
 
-    state: Tensor
-    command: Tensor
-    command_rate: Tensor
-    s: Tensor
-    offset: Tensor
-    heading: Tensor
+    state: Tensor  # (S, N)
+    place: Tensor  # (5, N)
+    command: Tensor  # (2, N)
+    command_rate: Tensor  # (N,)
     frame: FrenetFrame
     action: Action
     constant: Callable[[Sequence[float]], Tensor]
@@ -114,8 +113,7 @@ class View(Rows):
     @classmethod
     def of(cls, race: "Race", cars: Tensor | None) -> "View":
         """Return the view of all cars, or of the cars of these numbers."""
-        state, s, offset, heading = race.seen()
-        tensors = (state, race.command, race.command_rate, s, offset, heading)
+        tensors = (*race.seen(), race.command, race.command_rate)
         if cars is not None:
             tensors = tuple(t.index_select(t.ndim - 1, cars) for t in tensors)  # type: ignore[assignment]
         return cls(*tensors, race.frame, race.action, race.constant)
@@ -168,9 +166,10 @@ class Race(Rows):
         # what sensors showed, newest first, where they do not show the truth at once
         self.spread = self.constant([float(self.noise.get(name, 0.0)) for name in STATE])[:, None]
         past = samples(self.vehicle, self.timing.dt, noisy=any(self.noise.values()))
+        self._late, self._sensed = late > 0, past > 0
         self.shown = self.state.new_zeros(past, len(STATE), self.count)
-        self.command_rate, self.s, self.n, self.heading = zeros, zeros, zeros, zeros
-        self.margin, self.offset, self.still_time = zeros, zeros, zeros
+        self.command_rate, self.still_time = zeros, zeros
+        self.place = zeros.new_zeros(len(PLACE), self.count)
         self.travelled = zeros.double()  # m along the centreline, unwrapped since the episode's start
         self.age = torch.zeros(self.count, device=self.device, dtype=torch.long)  # control steps
         self.reset()
@@ -182,14 +181,12 @@ class Race(Rows):
             self._constants[key] = torch.tensor(key, device=self.device, dtype=self.dtype)
         return self._constants[key]
 
-    def seen(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Return states (S, N), places, offsets and headings (N,) as the driver's sensors show them."""
-        if not len(self.shown):
-            return self.state, self.s, self.offset, self.heading
+    def seen(self) -> tuple[Tensor, Tensor]:
+        """Return states (S, N) and places (5, N) as the driver's sensors show them."""
+        if not self._sensed:
+            return self.state, self.place
         state = seen(self._drawn(), self.shown, self.timing.dt)
-        foot = self.frame.project(state[X], state[Y], self.s)
-        middle, _ = self.frame.lookup(foot.s, self.frame.middle, self.frame.half_width)
-        return state, foot.s, foot.n - middle, wrap_angle(state[YAW] - foot.yaw)
+        return state, self.frame.locate(state[X], state[Y], state[YAW], self.s)[0]
 
     def observe(self, cars: Tensor | None = None) -> Tensor:
         """Return the observation (N, O), inside ± OBSERVATION_LIMIT, or that of the cars of these numbers (K,)."""
@@ -201,11 +198,11 @@ class Race(Rows):
         self._restart(torch.ones(self.count, device=self.device, dtype=torch.bool))
         return self.observe()
 
-    def place(self, cars: Tensor, state: Tensor, command: Tensor) -> None:
+    def put(self, cars: Tensor, state: Tensor, command: Tensor) -> None:
         """Begin the episodes of the cars of these numbers (K,) in states (S, K), with commands (2, K) behind them."""
         apart = (state[X][:, None] - self.frame.x) ** 2 + (state[Y][:, None] - self.frame.y) ** 2
-        foot = self.frame.project(state[X], state[Y], apart.argmin(dim=1) * self.frame.spacing)
-        self._begin(cars, state, command, foot)
+        near = apart.argmin(dim=1) * self.frame.spacing
+        self._begin(cars, state, command, self.frame.locate(state[X], state[Y], state[YAW], near)[0])
 
     def reseed(self, seeds: Sequence[int]) -> None:
         """Use new seeds from the next restart on."""
@@ -234,7 +231,7 @@ class Race(Rows):
         clamped = torch.nan_to_num(action.to(self.dtype)).clamp(-1.0, 1.0)
         self.command = self.action.command(clamped, last, self.timing.dt)
         self.command_rate = (self.command[1] - last[1]) / self.timing.dt
-        if len(self.history):
+        if self._late:
             self.history = torch.cat([self.command[None], self.history[:-1]])
 
     def _drawn(self, cars: Tensor | None = None) -> Vehicle:
@@ -244,7 +241,7 @@ class Race(Rows):
 
     def _drive(self) -> Tensor:
         """Return the states after one control period."""
-        if not len(self.history):
+        if not self._late:
             return self.motion(self.state, self.command, self.draws.values)
         delays = self._drawn().delays()
         state, step = self.state, self.timing.step
@@ -262,12 +259,10 @@ class Race(Rows):
             # the state before may be broken too; the car is started over after this step
             moved = torch.where(faulty, self.state.nan_to_num(0.0, 0.0, 0.0), moved)
         self.state = moved
-        if len(self.shown):
+        if self._sensed:
             self.shown = torch.cat([self._shown(moved)[None], self.shown[:-1]])
         self.age = self.age + 1
-        last = self.s
-        self._locate()
-        progress = self.frame.difference(self.s, last)
+        self.place, progress = self.frame.locate(moved[X], moved[Y], moved[YAW], self.s)
         travelled = self.travelled + progress
         if self.randomization.each_lap and self.draws.names:
             crossed = (travelled / self.track.length).floor() > (self.travelled / self.track.length).floor()
@@ -283,18 +278,6 @@ class Race(Rows):
             return what
         return what + self.spread * self.dice.normal(len(STATE), torch.arange(self.count, device=self.device))
 
-    def _locate(self) -> None:
-        foot = self.frame.project(self.state[X], self.state[Y], self.s)
-        self.s, self.n = foot.s, foot.n
-        self.heading = wrap_angle(self.state[YAW] - foot.yaw)
-        self._measure()
-
-    def _measure(self) -> None:
-        """Update the offset from the middle of the track and the distance to its boundary from s and n."""
-        middle, half_width = self.frame.lookup(self.s, self.frame.middle, self.frame.half_width)
-        self.offset = self.n - middle
-        self.margin = half_width - self.offset.abs()
-
     def _restart(self, mask: Tensor) -> Tensor:
         """Start the masked cars at a random place on the centreline with new parameters; return their numbers (K,)."""
         cars = mask.nonzero()[:, 0]
@@ -306,25 +289,24 @@ class Race(Rows):
         x, y, yaw = self.frame.position(s, still)
         rest = [still] * (len(self.vehicle.states) - len(STATE))
         state = torch.stack([x, y, yaw, speed, still, still, still, speed, *rest])
-        self._begin(cars, state, torch.stack([still, self.action.initial(speed)]), Foot(s, still, yaw))
+        command = torch.stack([still, self.action.initial(speed)])
+        self._begin(cars, state, command, self.frame.place(s, still, still))
         return cars
 
-    def _begin(self, cars: Tensor, state: Tensor, command: Tensor, foot: Foot) -> None:
-        """Begin the episodes of the cars of these numbers (K,) in states (S, K) with their feet on the centreline."""
+    def _begin(self, cars: Tensor, state: Tensor, command: Tensor, place: Tensor) -> None:
+        """Begin the episodes of the cars of these numbers (K,) in states (S, K) at places (5, K)."""
         self.state = self.state.index_copy(1, cars, state)
         self.command = self.command.index_copy(1, cars, command)
         self.command_rate = self.command_rate.index_fill(0, cars, 0.0)
-        if len(self.history):
+        if self._late:
             self.history = self.history.index_copy(2, cars, command.expand(len(self.history), -1, -1))
-        if len(self.shown):
+        if self._sensed:
             first = shown(self._drawn(cars), state).to(self.dtype)
             self.shown = self.shown.index_copy(2, cars, first.expand(len(self.shown), -1, -1))
         self.still_time = self.still_time.index_fill(0, cars, 0.0)
         self.age = self.age.index_fill(0, cars, 0)
-        self.s, self.n = self.s.index_copy(0, cars, foot.s), self.n.index_copy(0, cars, foot.n)
-        self.heading = self.heading.index_copy(0, cars, wrap_angle(state[YAW] - foot.yaw))
-        self._measure()
-        self.travelled = self.travelled.index_copy(0, cars, foot.s.double())
+        self.place = self.place.index_copy(1, cars, place)
+        self.travelled = self.travelled.index_copy(0, cars, place[0].double())
 
     def _report(self, faulty: Tensor) -> None:
         """Count cars whose simulation failed and log the state they failed from."""

@@ -26,6 +26,10 @@ RIDGE = 1.05  # a rise of the squared distance by this factor does not stop the 
 SMALLEST_STRETCH = 0.05  # lower bound on |1 − κb|, where Δs is clamped to a cell anyway
 
 
+# m along the centreline; m from it, positive to the left; rad against it; m from the track's middle; m to the boundary
+PLACE = ("s", "n", "heading", "offset", "margin")
+
+
 class Foot(NamedTuple):
     """Where cars are on the track, each of shape (N,)."""
 
@@ -63,8 +67,9 @@ class FrenetFrame:
         self._middle = cells
         cpu = torch.device(device).type == "cpu" and dtype == torch.float32
         self._kernel = load_kernel(RIDGE, SMALLEST_STRETCH) if cpu else None
-        # what the walk reads of a cell: x, y, yaw, its cosine and sine, curvature
+        # what C reads of a cell: x, y, yaw, its cosine and sine, curvature, middle, half width
         rows = [self.x, self.y, self.yaw, torch.cos(self.yaw), torch.sin(self.yaw), self.curvature]
+        rows += [self.middle, self.half_width]
         self._cells = torch.stack(rows, dim=1).contiguous()
 
     def wrap(self, s: Tensor) -> Tensor:
@@ -110,6 +115,20 @@ class FrenetFrame:
         squared = (x[:, None] - self.x[window]) ** 2 + (y[:, None] - self.y[window]) ** 2
         index = (nearest + self._downhill(squared)) % self.count
         return self._foot_in_cell(x, y, index)
+
+    def locate(self, x: Tensor, y: Tensor, yaw: Tensor, s_last: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the places (5, N), rows as in PLACE, of cars at x, y, heading yaw (N,), and their way from s_last."""
+        if self._kernel is not None:
+            found = self._kernel.locate(self._cells, x, y, yaw, s_last, self.spacing, self._middle)
+            return found[:5], found[5]
+        foot = self.project(x, y, s_last)
+        return self.place(foot.s, foot.n, wrap_angle(yaw - foot.yaw)), self.difference(foot.s, s_last)
+
+    def place(self, s: Tensor, n: Tensor, heading: Tensor) -> Tensor:
+        """Return the places (5, N) of cars at (s, n) that head so against the centreline, each (N,)."""
+        middle, half_width = self.lookup(s, self.middle, self.half_width)
+        offset = n - middle
+        return torch.stack([s, n, heading, offset, half_width - offset.abs()])
 
     def _downhill(self, squared: Tensor) -> Tensor:
         """Return the steps (N,) from the middle of each row to the bottom of its valley."""

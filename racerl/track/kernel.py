@@ -26,7 +26,7 @@ static inline float wrap_angle(float angle) {{
 }}
 
 /* cells from `from` to the bottom of the valley on one side, and the squared distance there */
-static inline long downhill(const float (*cells)[6], long count, long from, long way, long reach, float x, float y,
+static inline long downhill(const float (*cells)[8], long count, long from, long way, long reach, float x, float y,
                             float *squared) {{
     long best = 0, at = from;
     float least = INFINITY, lowest = INFINITY;
@@ -42,39 +42,64 @@ static inline long downhill(const float (*cells)[6], long count, long from, long
     return best;
 }}
 
-void project(const float (*cells)[6], long count, float spacing, long reach, const float *px, const float *py,
+/* s, n and the centreline's direction of the foot of (x, y), followed from `last` */
+static inline void foot_of(const float (*cells)[8], long count, float spacing, long reach, float x, float y, float last,
+                           float *s, float *n, float *direction) {{
+    float ahead, behind;
+    long from = lroundf(last / spacing) % count;
+    from = from < 0 ? from + count : from;  /* NaN lands in the table too */
+    long forth = downhill(cells, count, from, 1, reach, x, y, &ahead);
+    long back = downhill(cells, count, from, -1, reach, x, y, &behind);
+    long at = (from + (ahead <= behind ? forth : -back) + count) % count;
+    const float *cell = cells[at];
+    float dx = x - cell[0], dy = y - cell[1], kappa = cell[5];
+    float along = dx * cell[3] + dy * cell[4], left = dy * cell[3] - dx * cell[4];
+    float stretch = 1 - kappa * left;
+    float slope = along / (fabsf(stretch) < SMALLEST_STRETCH ? SMALLEST_STRETCH : stretch);
+    float ds = slope * (1 - kappa * slope * kappa * slope / 3);
+    ds = ds > spacing ? spacing : ds < -spacing ? -spacing : ds;
+    float squared = along * along + left * left;
+    if (stretch > 0)
+        *n = (2 * left - kappa * squared) / (1 + sqrtf(stretch * stretch + kappa * along * kappa * along));
+    else {{
+        ds = 0;
+        *n = left > 0 ? sqrtf(squared) : left < 0 ? -sqrtf(squared) : 0;
+    }}
+    float place = at * spacing + ds, length = count * spacing;
+    place = place < 0 ? place + length : place;
+    *s = place >= length ? place - length : place;
+    *direction = wrap_angle(cell[2] + kappa * ds);
+}}
+
+void project(const float (*cells)[8], long count, float spacing, long reach, const float *x, const float *y,
              const float *last, float *s, float *n, float *direction, long cars) {{
+    for (long car = 0; car < cars; car++)
+        foot_of(cells, count, spacing, reach, x[car], y[car], last[car], &s[car], &n[car], &direction[car]);
+}}
+
+/* rows of `place`: s, n, heading against the centreline, offset from the middle, margin to the nearer boundary; and
+   the way from `last` */
+void locate(const float (*cells)[8], long count, float spacing, long reach, const float *x, const float *y,
+            const float *yaw, const float *last, float *place, long cars) {{
+    const float length = count * spacing;
     for (long car = 0; car < cars; car++) {{
-        float x = px[car], y = py[car], ahead, behind;
-        long from = lroundf(last[car] / spacing) % count;
-        from = from < 0 ? from + count : from;  /* NaN lands in the table too */
-        long forth = downhill(cells, count, from, 1, reach, x, y, &ahead);
-        long back = downhill(cells, count, from, -1, reach, x, y, &behind);
-        long at = (from + (ahead <= behind ? forth : -back) + count) % count;
-        const float *cell = cells[at];
-        float dx = x - cell[0], dy = y - cell[1], kappa = cell[5];
-        float along = dx * cell[3] + dy * cell[4], left = dy * cell[3] - dx * cell[4];
-        float stretch = 1 - kappa * left;
-        float slope = along / (fabsf(stretch) < SMALLEST_STRETCH ? SMALLEST_STRETCH : stretch);
-        float ds = slope * (1 - kappa * slope * kappa * slope / 3);
-        ds = ds > spacing ? spacing : ds < -spacing ? -spacing : ds;
-        float squared = along * along + left * left;
-        if (stretch > 0)
-            n[car] = (2 * left - kappa * squared)
-                   / (1 + sqrtf(stretch * stretch + kappa * along * kappa * along));
-        else {{
-            ds = 0;
-            n[car] = left > 0 ? sqrtf(squared) : left < 0 ? -sqrtf(squared) : 0;
-        }}
-        float place = at * spacing + ds, length = count * spacing;
-        place = place < 0 ? place + length : place;
-        s[car] = place >= length ? place - length : place;
-        direction[car] = wrap_angle(cell[2] + kappa * ds);
+        float s, n, direction;
+        foot_of(cells, count, spacing, reach, x[car], y[car], last[car], &s, &n, &direction);
+        float position = s / spacing, cell = floorf(position), share = position - cell;
+        long at = cell >= 0 && cell < count ? (long)cell : 0, next = at + 1 >= count ? 0 : at + 1;  /* NaN too */
+        float offset = n - (cells[at][6] + share * (cells[next][6] - cells[at][6]));
+        place[car] = s;
+        place[cars + car] = n;
+        place[2 * cars + car] = wrap_angle(yaw[car] - direction);
+        place[3 * cars + car] = offset;
+        place[4 * cars + car] = cells[at][7] + share * (cells[next][7] - cells[at][7]) - fabsf(offset);
+        float way = s - last[car] + length / 2;
+        place[5 * cars + car] = way - length * floorf(way / length) - length / 2;
     }}
 }}
 
 /* x, y and the centreline's direction at (s, n), exact to the arc within a cell */
-static __attribute__((noinline)) void position_of(const float (*cells)[6], long count, float spacing, float s, float n,
+static __attribute__((noinline)) void position_of(const float (*cells)[8], long count, float spacing, float s, float n,
                                                   float *x, float *y, float *direction) {{
     const float length = count * spacing;
     s -= length * floorf(s / length);
@@ -87,7 +112,7 @@ static __attribute__((noinline)) void position_of(const float (*cells)[6], long 
     *direction = wrap_angle(turn);
 }}
 
-void position(const float (*cells)[6], long count, float spacing, const float *s, const float *n, float *x, float *y,
+void position(const float (*cells)[8], long count, float spacing, const float *s, const float *n, float *x, float *y,
               float *direction, long cars) {{
     for (long car = 0; car < cars; car++)
         position_of(cells, count, spacing, s[car], n[car], &x[car], &y[car], &direction[car]);
@@ -135,7 +160,7 @@ class TrackKernel:
         s, n, yaw = torch.empty_like(x), torch.empty_like(x), torch.empty_like(x)
         self.compiled.project(
             cells.data_ptr(),
-            len(cells),
+            cells.shape[0],
             spacing,
             reach,
             *(t.data_ptr() for t in (x, y, s_last, s, n, yaw)),
@@ -143,12 +168,22 @@ class TrackKernel:
         )
         return s, n, yaw
 
+    def locate(
+        self, cells: Tensor, x: Tensor, y: Tensor, yaw: Tensor, s_last: Tensor, spacing: float, reach: int
+    ) -> Tensor:
+        """Return s, n, heading, offset, margin and the way from `s_last`, (6, N)."""
+        given = [t.to(cells.dtype).contiguous() for t in (x, y, yaw, s_last)]
+        place = torch.empty(6, x.numel(), dtype=cells.dtype)
+        pointers = (t.data_ptr() for t in (*given, place))
+        self.compiled.locate(cells.data_ptr(), cells.shape[0], spacing, reach, *pointers, x.numel())
+        return place
+
     def position(self, cells: Tensor, s: Tensor, n: Tensor, spacing: float) -> tuple[Tensor, Tensor, Tensor]:
         """Return x, y and the centreline's yaw at (s, n), each (N,)."""
         s, n = s.to(cells.dtype).contiguous(), n.to(cells.dtype).contiguous()
         x, y, yaw = torch.empty_like(s), torch.empty_like(s), torch.empty_like(s)
         pointers = (t.data_ptr() for t in (s, n, x, y, yaw))
-        self.compiled.position(cells.data_ptr(), len(cells), spacing, *pointers, s.numel())
+        self.compiled.position(cells.data_ptr(), cells.shape[0], spacing, *pointers, s.numel())
         return x, y, yaw
 
     def lookup(self, tables: Sequence[Tensor], s: Tensor, spacing: float) -> list[Tensor]:
@@ -156,7 +191,7 @@ class TrackKernel:
         s = s.to(tables[0].dtype).contiguous()
         out = torch.empty((len(tables), *s.shape), dtype=s.dtype)
         rows = (ctypes.c_void_p * len(tables))(*(table.data_ptr() for table in tables))
-        self.compiled.lookup(rows, len(tables), len(tables[0]), spacing, s.data_ptr(), out.data_ptr(), s.numel())
+        self.compiled.lookup(rows, len(tables), tables[0].shape[0], spacing, s.data_ptr(), out.data_ptr(), s.numel())
         return list(out.unbind())
 
 
@@ -168,7 +203,9 @@ def load_kernel(ridge: float, smallest_stretch: float) -> TrackKernel | None:
         return None
     pointer, whole, number = ctypes.c_void_p, ctypes.c_long, ctypes.c_float
     library.project.argtypes = [pointer, whole, number, whole, *[pointer] * 6, whole]
+    library.locate.argtypes = [pointer, whole, number, whole, *[pointer] * 5, whole]
     library.lookup.argtypes = [pointer, whole, whole, number, pointer, pointer, whole]
     library.position.argtypes = [pointer, whole, number, *[pointer] * 5, whole]
-    library.project.restype = library.position.restype = library.lookup.restype = None
+    for function in (library.project, library.locate, library.position, library.lookup):
+        function.restype = None
     return TrackKernel(library)

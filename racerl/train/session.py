@@ -118,5 +118,6 @@ class Session:
 
 def policy_of(network: nn.Sequential, race: Race, settings: Mapping[str, Any]) -> Policy:
     """Return a network as a policy for the race it learns in, sharing its weights."""
-    observation = {"name": settings["obs"]["name"], **vars(race.observation)}
+    kept = {key: value for key, value in vars(race.observation).items() if not key.startswith("_")}
+    observation = {"name": settings["obs"]["name"], **kept}
     return Policy(network, observation, settings["action"])

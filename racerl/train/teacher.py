@@ -85,7 +85,7 @@ class Teacher:
         state = torch.stack([x, y, yaw + z[:, 1], *z[:, 2 : size - 1].T])
         drive = z[:, -1] if race.action.integrated else race.action.initial(z[:, 6])
         steering = z[:, 5].clamp(-race.action.steering_max, race.action.steering_max)
-        race.place(cars, state, torch.stack([steering, drive.clamp(race.action.drive_min, race.action.drive_max)]))
+        race.put(cars, state, torch.stack([steering, drive.clamp(race.action.drive_min, race.action.drive_max)]))
 
 
 def _basin(feedback: Feedback) -> np.ndarray:

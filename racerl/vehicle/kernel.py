@@ -206,6 +206,8 @@ class CompiledMotion:
 
     def __call__(self, state: Tensor, command: Tensor, parameters: Tensor) -> Tensor:
         """Return the state (S, N) after the steps, with per-car parameters (P, N)."""
+        if not torch.is_grad_enabled():
+            return self.advance([t.contiguous() for t in (state, command, parameters)])
         return cast(Tensor, _Advance.apply(state, command, parameters, self))
 
     def advance(self, inputs: Sequence[Tensor]) -> Tensor:

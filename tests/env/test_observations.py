@@ -39,7 +39,7 @@ def test_geometric_does_not_depend_on_the_place_of_an_equal_track():
     race = make(cars=2)
     place(race, s=3.0, speed=2.0)
     race.frame.curvature = torch.full_like(race.frame.curvature, 0.3)
-    race.s = torch.tensor([3.0, 9.0])
+    race.place[0] = torch.tensor([3.0, 9.0])
     seen = race.observe()
     assert torch.equal(seen[0], seen[1])
 

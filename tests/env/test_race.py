@@ -28,8 +28,7 @@ def place(race: Race, s: float, n: float = 0.0, speed: float = 2.0, heading: flo
     race.state = torch.zeros_like(race.state)
     race.state[X], race.state[Y], race.state[YAW], race.state[V_X], race.state[-1] = x, y, yaw + heading, speed, speed
     race.command = torch.stack([torch.zeros_like(x), torch.full_like(x, speed)])
-    race.s = column
-    race._locate()
+    race.place, _ = race.frame.locate(x, y, yaw + heading, column)
     race.travelled = race.s.double()
 
 

@@ -6,7 +6,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from racerl.track.frenet import FrenetFrame
+from racerl.track.frenet import FrenetFrame, wrap_angle
 from racerl.track.load import read_track
 from racerl.track.track import build_track
 from tests.conftest import CONF
@@ -167,3 +167,23 @@ def test_the_compiled_walk_follows_the_tensors():
             apart = single.lookup((s + shift).float(), single_table)[0] - exact.lookup(s + shift, exact_table)[0]
             assert apart.abs().max() < 2e-3 * (1 + exact_table.abs().max())
     assert torch.isfinite(single.lookup(torch.tensor([0.0, TRACK.length, -1e-9]), single.curvature)[0]).all()
+
+
+@pytest.mark.parametrize("device_type", ["compiled", "torch"])
+def test_places_are_projections_with_the_boundaries_at_hand(device_type):
+    """Rows of a place against the projection, the tables and the wrapped difference, on C and on tensors."""
+    track = TRACK
+    frame = FrenetFrame(track, dtype=torch.float32 if device_type == "compiled" else torch.float64)
+    generator = torch.Generator().manual_seed(5)
+    s = torch.rand(500, generator=generator) * track.length
+    n = (torch.rand(500, generator=generator) - 0.5) * 0.9
+    x, y, yaw = frame.position(s.to(frame.x.dtype), n.to(frame.x.dtype))
+    last = frame.wrap(s - 0.2).to(frame.x.dtype)
+    place, way = frame.locate(x, y, yaw + 0.3, last)
+    foot = frame.project(x, y, last)
+    assert torch.allclose(place[0], foot.s) and torch.allclose(place[1], foot.n)
+    assert torch.allclose(place[2], wrap_angle(yaw + 0.3 - foot.yaw), atol=1e-5)
+    middle, half_width = frame.lookup(foot.s, frame.middle, frame.half_width)
+    assert torch.allclose(place[3], foot.n - middle, atol=1e-6)
+    assert torch.allclose(place[4], half_width - (foot.n - middle).abs(), atol=1e-6)
+    assert torch.allclose(way, frame.difference(foot.s, last), atol=1e-5)

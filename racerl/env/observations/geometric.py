@@ -5,6 +5,7 @@ the first one `spacing` ahead. u is the heading relative to the track, n the off
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import torch
@@ -47,9 +48,17 @@ class Geometric:
     def __call__(self, view: "View") -> Tensor:
         """Return (N, 10 + 2·points)."""
         frame = view.frame
-        ahead = view.s[:, None] + view.constant([self.spacing * (i + 1) for i in range(self.points)])
         car = [view.v_x, view.v_y, view.heading, view.offset, view.yaw_rate, *actuator_terms(view)]
-        maxima = [SPEED_MAX, SPEED_MAX, HEADING_MAX, self.width_max, YAW_RATE_MAX, *actuator_maxima(view)]
-        curvature, width = frame.lookup(ahead, frame.curvature, frame.half_width)
-        preview = [curvature / self.curvature_max, width / self.width_max]
-        return torch.cat([torch.stack(car, dim=1) / view.constant(maxima), *preview], dim=1)
+        ahead = view.s[:, None] + view.constant(self._places)
+        preview = frame.lookup(ahead, frame.curvature, frame.half_width)
+        maxima = (SPEED_MAX, SPEED_MAX, HEADING_MAX, self.width_max, YAW_RATE_MAX, *actuator_maxima(view))
+        return torch.cat([torch.stack(car, dim=1), *preview], dim=1) / view.constant(maxima + self._preview_maxima)
+
+    @cached_property
+    def _places(self) -> tuple[float, ...]:
+        """Distances ahead, in m."""
+        return tuple(self.spacing * (i + 1) for i in range(self.points))
+
+    @cached_property
+    def _preview_maxima(self) -> tuple[float, ...]:
+        return (self.curvature_max,) * self.points + (self.width_max,) * self.points
