@@ -54,7 +54,7 @@ def sweep(
                 f"all {len(failed)} jobs failed, {name}: {words}; what they printed stands in {out / JOB_LOGS}"
             )
         facts = summarise(planned, settings, out, failed)
-        if not failed:
+        if not failed and folder.manifest["status"] != "complete":
             seconds = sum(read_json(job.trained / MANIFEST)["seconds"] for job in planned.jobs)
             folder.finish(jobs=len(planned.jobs), training_seconds=round(seconds, 1))
     return facts
