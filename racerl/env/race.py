@@ -268,7 +268,7 @@ class Race(Rows):
             crossed = (travelled / self.track.length).floor() > (self.travelled / self.track.length).floor()
             self.draws.draw(crossed.nonzero()[:, 0], self.dice)
         self.travelled = travelled
-        self.still_time = (self.still_time + self.timing.dt) * (self.v_x.abs() < STOP_SPEED)
+        self.still_time = (self.still_time + self.timing.dt).masked_fill(self.v_x.abs() >= STOP_SPEED, 0.0)
         return progress, faulty
 
     def _shown(self, state: Tensor) -> Tensor:
