@@ -104,7 +104,8 @@ def train(overrides: Overrides = None) -> None:
 def evaluate(arguments: Run = None) -> None:
     """Race a trained policy: racerl evaluate outputs/train/first laps=20
 
-    Drives flying laps per seed; writes metrics.json and trajectories.parquet.
+    Drives flying laps per seed; writes metrics.json and trajectories.parquet. A recorded drive is scored the same way:
+    racerl evaluate drive.csv.gz track=l_shape
     """
     _run("evaluate", arguments, _evaluate, positional="run")
 
@@ -534,7 +535,7 @@ def _print_metrics(console: Any, metrics: dict[str, Any]) -> None:
         str(metrics["laps"]),
     )
     console.print(table)
-    if metrics["optimum_s"] is None:
+    if metrics["optimum_s"] is None and metrics["controller"] != "recorded":
         console.print(
             "for the time-optimal lap beside it: racerl optimum, with the same vehicle, track, sim and action"
         )

@@ -170,6 +170,8 @@ def _rewrite(command: str, arguments: Sequence[str], positional: str | None) -> 
 def _rewrite_override(word: str, groups: set[str]) -> Iterator[str]:
     key, _, value = word.partition("=")
     group = key.lstrip("+")
+    if group in groups and value == "null":
+        raise ConfigError(f"{word}: a choice of conf/{group} is expected; leave the word out for the usual one")
     if group in FILE_GROUPS and value.lower().endswith(FILE_GROUPS[group]):
         yield f"{group}=file"
         yield f"{group}.file={_quote(value)}"

@@ -1,7 +1,7 @@
-"""The evaluate stage: flying laps of a trained policy in a car, scored and recorded.
+"""The evaluate stage: flying laps of a trained policy in a car, scored and recorded; or those of a recorded drive.
 
-Reads a finished training run; writes `metrics.json`, `trajectories.parquet` (the drive-log format with the place on the
-track added) and `track.csv` (centreline and boundaries, for drawing).
+Reads a finished training run, or a drive log; writes `metrics.json`, `trajectories.parquet` (the drive-log format with
+the place on the track added) and `track.csv` (centreline and boundaries, for drawing).
 """
 
 import io
@@ -23,6 +23,7 @@ from racerl.env.termination import Crash
 from racerl.errors import ConfigError, PolicyError
 from racerl.evaluate.drive import Recorder, drive
 from racerl.evaluate.laps import rows, score
+from racerl.evaluate.recorded import follow, read_recorded
 from racerl.optimum.floor import find_floor, gap, problem_hash
 from racerl.registry import construct
 from racerl.run import RunFolder, find_runs
@@ -36,7 +37,9 @@ OVERRIDABLE = ("vehicle", "track", "sim", "dr")
 def evaluate(
     settings: Mapping[str, Any], out: Path, on_lap: Callable[[int, int], None] = lambda done, total: None
 ) -> dict[str, Any]:
-    """Evaluate the policy of `settings["run"]`; return the metrics that were written into `out`."""
+    """Evaluate the policy, or score the drive log, of `settings["run"]`; return the metrics written into `out`."""
+    if Path(str(settings["run"])).is_file():
+        return _evaluate_log(settings, out)
     trained = RunFolder.open_complete(Path(settings["run"]), "train")
     seeds, laps = _seeds(settings["seeds"]), bounds.whole("laps", settings["laps"], 1, 10_000)
     use_threads(settings["threads"])
@@ -82,6 +85,30 @@ def evaluate(
     write_text(folder.path / TRACK, track_table(race.track))
     write_json(folder.path / METRICS, metrics)
     folder.finish(train_run_id=trained.manifest["run_id"], nan_cars=race.faults, problem=problem)
+    return metrics
+
+
+def _evaluate_log(settings: Mapping[str, Any], out: Path) -> dict[str, Any]:
+    track, logs = read_recorded(settings)
+    folder = RunFolder.start(out, "evaluate", settings)
+    driven, drive = follow(track, logs)
+    metrics = {
+        **score(driven),
+        "optimum_s": None,
+        "mean_over_optimum": None,
+        "laps_per_seed": None,
+        "track": track.name,
+        "car": "recorded",
+        "controller": "recorded",
+        "label": f"log {logs[0].name}",
+        "nan_cars": 0,
+        "git_sha": folder.manifest["git_sha"],
+        "rows": rows(driven, range(1 + max((lap.car for lap in driven), default=0))),
+    }
+    write_bytes(folder.path / TRAJECTORIES, _parquet(drive))
+    write_text(folder.path / TRACK, track_table(track))
+    write_json(folder.path / METRICS, metrics)
+    folder.finish(train_run_id=f"log {folder.manifest['run_id']}")
     return metrics
 
 

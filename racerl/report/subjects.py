@@ -18,7 +18,7 @@ from racerl.optimum.floor import find_floor
 from racerl.run import RunFolder, find_runs
 
 PROGRESS, METRICS, TRAJECTORIES, TRACK = "progress.jsonl", "metrics.json", "trajectories.parquet", "track.csv"
-DRIVE_COLUMNS = ("run", "seed", "lap", "t", "s", "n", "x", "y", "v_x", "delta")
+DRIVE_COLUMNS = ("run", "seed", "lap", "t", "s", "n", "x", "y", "v_x")
 TRACK_COLUMNS = ("s_m", "x_m", "y_m", "left_x_m", "left_y_m", "right_x_m", "right_y_m")
 NUMBER, NUMBER_OR_NONE = (int, float), (int, float, type(None))
 FIELDS: dict[str, tuple[type, ...]] = {
@@ -142,6 +142,7 @@ def _read_evaluation(folder: RunFolder) -> Evaluation:
         for row in metrics["rows"]:
             _check(row, ROW_FIELDS, f"{METRICS}, rows")
         drive = _finite_table(_read_drive(folder.path / TRAJECTORIES), DRIVE_COLUMNS, TRAJECTORIES)
+        drive["delta"] = pd.to_numeric(drive["delta"])  # NaN in the log of a car that did not measure it
         track = _finite_table(pd.read_csv(folder.path / TRACK), TRACK_COLUMNS, TRACK)
     except (DocumentError, OSError, ValueError, pa.ArrowException) as error:
         raise RunError(f"{folder.path}: is damaged ({' '.join(str(error).split())}); evaluate again") from error

@@ -1,0 +1,72 @@
+"""Laps of a recorded drive, by the same clock and the same scores as a race's: a drive log and the track it was on.
+
+Every run of the log is followed along the centreline from its first sample. A crash is what it is in a race (more than
+0.2 m off the track, turned around, a stop); the driver goes on from there, and the next lap begins at the next line.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import torch
+
+from racerl.assemble import build_track
+from racerl.data.load import load_given
+from racerl.data.log import POSE, Log
+from racerl.env.termination import CRASH_DISTANCE, HALF_TURN, STOP_SPEED, STOP_TIME
+from racerl.errors import ConfigError, LogError
+from racerl.evaluate.laps import Lap, LapTimer
+from racerl.track.frenet import PLACE, FrenetFrame
+from racerl.track.track import Track
+
+
+def read_recorded(settings: Mapping[str, Any]) -> tuple[Track, list[Log]]:
+    """Return the track and the logs of `settings["run"]`; raise ConfigError or LogError for what cannot be scored."""
+    if settings.get("track") is None:
+        raise ConfigError(f"{settings['run']}: is a log; say on which track it was driven, for instance track=l_shape")
+    logs = load_given({"logs": settings["run"], "data": settings["data"]})
+    for log in logs:
+        lacking = [channel for channel in (*POSE, "v_x") if channel not in log.channels]
+        if lacking:
+            raise LogError(f"{log.name}: has no {', '.join(lacking)}; laps need poses and the forward speed")
+    return build_track(settings), logs
+
+
+def follow(track: Track, logs: Sequence[Log]) -> tuple[list[Lap], pd.DataFrame]:
+    """Return the flying laps of every run and the drive with its places on the track, as of a race."""
+    laps: list[Lap] = []
+    drives: list[pd.DataFrame] = []
+    for log in logs:
+        for _, rows in log.table.groupby("run", sort=False):
+            number = len(drives)
+            timer, drive = _follow_run(track, rows, log.dt)
+            laps += [Lap(**{**vars(lap), "car": number}) for lap in timer.laps[0]]
+            drives.append(drive.assign(run=number, seed=number))
+    return laps, pd.concat(drives, ignore_index=True)
+
+
+def _follow_run(track: Track, rows: pd.DataFrame, dt: float) -> tuple[LapTimer, pd.DataFrame]:
+    frame = FrenetFrame(track)
+    x, y, yaw = (torch.tensor(rows[name].to_numpy(), dtype=torch.float32) for name in POSE)
+    apart = (x[0] - frame.x) ** 2 + (y[0] - frame.y) ** 2
+    place, _ = frame.locate(x[:1], y[:1], yaw[:1], apart.argmin()[None] * frame.spacing)
+    travelled = [float(place[0])]
+    places, laps = [place[:, 0].numpy()], [0]
+    timer = LapTimer(track.length, dt, np.array(travelled))
+    down, still = False, 0.0
+    speed = rows["v_x"].abs().to_numpy()
+    for i in range(1, len(rows)):
+        place, way = frame.locate(x[i : i + 1], y[i : i + 1], yaw[i : i + 1], place[0])
+        travelled.append(travelled[-1] + float(way))
+        still = still + dt if speed[i] < STOP_SPEED else 0.0
+        was, down = down, bool(place[4] < -CRASH_DISTANCE or place[2].abs() > HALF_TURN or still > STOP_TIME)
+        before, after, margin = (np.array([value]) for value in (travelled[-2], travelled[-1], float(place[4])))
+        timer.update(before, after, margin, np.array([down and not was]), after)
+        places.append(place[:, 0].numpy())
+        laps.append(int(timer.current()[0]))
+    drive = rows[[name for name in ("t", *POSE, "v_x", "v_y", "yaw_rate", "delta", "omega") if name in rows]]
+    drive = drive.assign(**dict(zip(PLACE, np.array(places).T, strict=True)), travelled=travelled, lap=laps)
+    if "delta" not in drive:
+        drive["delta"] = rows.get("delta_ref", np.nan)  # not measured
+    return timer, drive
