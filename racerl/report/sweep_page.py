@@ -148,7 +148,10 @@ def _claim(claim: dict[str, Any]) -> dict[str, Any]:
 
 def _test(test: dict[str, Any]) -> dict[str, str]:
     """Return a test as text: what is compared, the limit, the effect with its interval."""
-    parts = [f"{weight:+.3g} {arm.replace('_', ' ')}" for arm, weight in test["weights"].items()]
+    if test["slope"]:
+        compared = "slope over " + ", ".join(f"{arm.replace('_', ' ')} at {x:g}" for arm, x in test["slope"].items())
+    else:
+        compared = " ".join(f"{weight:+.3g} {arm.replace('_', ' ')}" for arm, weight in test["weights"].items())
     over = f", over {test['relative_to'].replace('_', ' ')}'s" if test["relative_to"] else ""
     (side, limit), metric = next(iter(test["limit"].items())), test["metric"]
     share = bool(test["relative_to"])
@@ -160,7 +163,7 @@ def _test(test: dict[str, Any]) -> dict[str, str]:
         values = [f"{value:+.1%}" if share else f"{value:+.4g}" for value in (test["effect"], low, high)]
         said = f"{values[0]} ({values[1]} … {values[2]}), {test['agreeing']} of {test['seeds']} seeds agree"
     return {
-        "what": f"{METRICS[metric]} in the {test['car']}: {' '.join(parts)}{over}",
+        "what": f"{METRICS[metric]}{'' if metric == 'reward' else ' in the ' + test['car']}: {compared}{over}",
         "wanted": wanted,
         "said": said,
         "outcome": {True: "holds", False: "does not hold", None: "open"}[test["holds"]],

@@ -117,6 +117,7 @@ def _test(test: Comparison, sweep: Sweep, samples: Mapping[str, Samples]) -> dic
         "metric": test.metric,
         "car": test.car,
         "weights": test.weights,
+        "slope": dict(test.slope),
         "relative_to": test.relative_to,
         "limit": next(
             {key: getattr(test, key)} for key in ("above", "below", "within") if getattr(test, key) is not None
