@@ -17,3 +17,10 @@ def number(name: str, value: Any, low: float, high: float, unit: str = "") -> fl
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
         raise ConfigError(f"{name} = {value}: allowed is a number, {low:g} … {high:g} {unit}".rstrip())
     return float(value)
+
+
+def wholes(name: str, value: Any, low: int, high: int) -> list[int]:
+    """Return a list of whole numbers of `low` … `high`; raise ConfigError for anything else."""
+    if not isinstance(value, list):
+        raise ConfigError(f"{name} = {value}: a list of whole numbers is expected")
+    return [whole(name, each, low, high) for each in value]

@@ -406,7 +406,7 @@ def _print_verdict(console: Any, facts: dict[str, Any]) -> None:
 
 def _sweep_words(arguments: list[str]) -> list[str]:
     """Return the words with those that are racerl train's gathered under one key."""
-    from racerl.config import own_keys
+    from racerl.config import own_keys, quote
 
     mine = own_keys("sweep")
     others = [
@@ -416,7 +416,7 @@ def _sweep_words(arguments: list[str]) -> list[str]:
         and not word.startswith("-")
         and word.lstrip("+~").partition("=")[0].partition(".")[0] not in mine
     ]
-    quoted = ",".join("'" + word.replace("'", "\\'") + "'" for word in others)
+    quoted = ",".join(map(quote, others))
     kept = [word for word in arguments if word not in others]
     return [*kept, f"words=[{quoted}]"] if others else kept
 

@@ -174,20 +174,21 @@ def _rewrite_override(word: str, groups: set[str]) -> Iterator[str]:
         raise ConfigError(f"{word}: a choice of conf/{group} is expected; leave the word out for the usual one")
     if group in FILE_GROUPS and value.lower().endswith(FILE_GROUPS[group]):
         yield f"{group}=file"
-        yield f"{group}.file={_quote(value)}"
+        yield f"{group}.file={quote(value)}"
     else:
         yield word.lstrip("+") if group in groups else word
 
 
 def _bare_override(positional: str, bare: list[str]) -> str:
     if positional.endswith("s"):
-        return f"{positional}=[{','.join(_quote(word) for word in bare)}]"
+        return f"{positional}=[{','.join(quote(word) for word in bare)}]"
     if len(bare) > 1:
         raise ConfigError(f"{' '.join(bare)}: one {positional} is expected; the rest as key=value")
-    return f"{positional}={_quote(bare[0])}"
+    return f"{positional}={quote(bare[0])}"
 
 
-def _quote(value: str) -> str:
+def quote(value: str) -> str:
+    """Return a word in quotes that Hydra reads back as it is."""
     return "'" + value.replace("\\", "\\\\").replace("'", "\\'") + "'"
 
 

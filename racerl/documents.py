@@ -23,10 +23,15 @@ MAX_TEXT_BYTES = 8 * 1024 * 1024
 MAX_YAML_BYTES = 1024 * 1024
 
 
-def conf_folder() -> Path:
-    """Return the folder of packaged configurations: inside a wheel, or beside the package in a checkout."""
+def packaged(name: str) -> Path:
+    """Return a folder that comes with the package: inside a wheel, or beside the package in a checkout."""
     package = Path(str(files("racerl")))
-    return package / "conf" if (package / "conf").is_dir() else package.parent / "conf"
+    return package / name if (package / name).is_dir() else package.parent / name
+
+
+def conf_folder() -> Path:
+    """Return the folder of packaged configurations."""
+    return packaged("conf")
 
 
 def write_bytes(path: Path, content: bytes) -> None:

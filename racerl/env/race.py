@@ -165,7 +165,8 @@ class Race(Rows):
         self.history = torch.zeros(late + 1 if late else 0, 2, self.count, device=self.device, dtype=self.dtype)
         # what sensors showed, newest first, where they do not show the truth at once
         self.spread = self.constant([float(self.noise.get(name, 0.0)) for name in STATE])[:, None]
-        past = samples(self.vehicle, self.timing.dt, noisy=any(self.noise.values()))
+        self._noisy = any(self.noise.values())
+        past = samples(self.vehicle, self.timing.dt, self._noisy)
         self._late, self._sensed = late > 0, past > 0
         self.shown = self.state.new_zeros(past, len(STATE), self.count)
         self.command_rate, self.still_time = zeros, zeros
@@ -274,7 +275,7 @@ class Race(Rows):
     def _shown(self, state: Tensor) -> Tensor:
         """Return what the sensors show of all cars' states, with their noise, (8, N)."""
         what = shown(self._drawn(), state)
-        if not any(self.noise.values()):
+        if not self._noisy:
             return what
         return what + self.spread * self.dice.normal(len(STATE), torch.arange(self.count, device=self.device))
 

@@ -6,12 +6,9 @@
 """
 
 import math
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 from torch import Tensor
-
-if TYPE_CHECKING:
-    from racerl.env.race import Race
 
 CRASH_DISTANCE = 0.2  # m beyond the boundary
 STOP_SPEED = 0.1  # m/s
@@ -19,17 +16,33 @@ HALF_TURN = math.pi / 2  # rad
 STOP_TIME = 1.0  # s below that speed
 
 
+class Situation(Protocol):
+    """What decides it, of N cars, each (N,): a race has it, and so has a recorded drive."""
+
+    @property
+    def margin(self) -> Tensor:
+        """Distance to the nearer boundary in m."""
+
+    @property
+    def heading(self) -> Tensor:
+        """Heading against the centreline in rad."""
+
+    @property
+    def still_time(self) -> Tensor:
+        """Time since the car last moved in s."""
+
+
 class Termination(Protocol):
     """Decides which cars' episodes end."""
 
-    def __call__(self, race: "Race") -> Tensor:
+    def __call__(self, race: Situation) -> Tensor:
         """Return a mask (N,)."""
 
 
 class OffTrack:
     """Ends where |n| > W, or where the car spins."""
 
-    def __call__(self, race: "Race") -> Tensor:
+    def __call__(self, race: Situation) -> Tensor:
         """Return the cars beyond a boundary or turned around."""
         return (race.margin < 0) | _spun(race)
 
@@ -37,10 +50,10 @@ class OffTrack:
 class Crash:
     """Ends at a crash only."""
 
-    def __call__(self, race: "Race") -> Tensor:
+    def __call__(self, race: Situation) -> Tensor:
         """Return the cars far off, spun or standing."""
         return (race.margin < -CRASH_DISTANCE) | _spun(race) | (race.still_time > STOP_TIME)
 
 
-def _spun(race: "Race") -> Tensor:
+def _spun(race: Situation) -> Tensor:
     return race.heading.abs() > HALF_TURN

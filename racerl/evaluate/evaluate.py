@@ -81,9 +81,7 @@ def evaluate(
         "git_sha": folder.manifest["git_sha"],
         "rows": rows(driven, seeds),
     }
-    write_bytes(folder.path / TRAJECTORIES, _parquet(recorder.log()))
-    write_text(folder.path / TRACK, track_table(race.track))
-    write_json(folder.path / METRICS, metrics)
+    _save(folder.path, metrics, recorder.log(), race.track)
     folder.finish(train_run_id=trained.manifest["run_id"], nan_cars=race.faults, problem=problem)
     return metrics
 
@@ -105,11 +103,16 @@ def _evaluate_log(settings: Mapping[str, Any], out: Path) -> dict[str, Any]:
         "git_sha": folder.manifest["git_sha"],
         "rows": rows(driven, range(1 + max((lap.car for lap in driven), default=0))),
     }
-    write_bytes(folder.path / TRAJECTORIES, _parquet(drive))
-    write_text(folder.path / TRACK, track_table(track))
-    write_json(folder.path / METRICS, metrics)
+    _save(folder.path, metrics, drive, track)
     folder.finish(train_run_id=f"log {folder.manifest['run_id']}")
     return metrics
+
+
+def _save(folder: Path, metrics: Mapping[str, Any], drive: pd.DataFrame, track: Track) -> None:
+    """Write the files of an evaluation."""
+    write_bytes(folder / TRAJECTORIES, _parquet(drive))
+    write_text(folder / TRACK, track_table(track))
+    write_json(folder / METRICS, metrics)
 
 
 def combine(trained: Mapping[str, Any], settings: Mapping[str, Any], car: Car) -> dict[str, Any]:
@@ -164,9 +167,9 @@ def track_table(track: Track) -> str:
 
 
 def _seeds(value: Any) -> list[int]:
-    seeds = [value] if isinstance(value, int) else list(value)
-    if not seeds or not all(isinstance(seed, int) and 0 <= seed < 2**31 for seed in seeds):
-        raise ConfigError(f"seeds = {value}: allowed is a list of whole numbers, 0 … 2³¹ − 1")
+    seeds = bounds.wholes("seeds", [value] if isinstance(value, int) else value, 0, 2**31 - 1)
+    if not seeds:
+        raise ConfigError("seeds = []: one at least is needed")
     return seeds
 
 

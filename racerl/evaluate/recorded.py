@@ -5,16 +5,19 @@ Every run of the log is followed along the centreline from its first sample. A c
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 import torch
+from numpy.typing import NDArray
+from torch import Tensor
 
 from racerl.assemble import build_track
 from racerl.data.load import load_given
 from racerl.data.log import POSE, Log
-from racerl.env.termination import CRASH_DISTANCE, HALF_TURN, STOP_SPEED, STOP_TIME
+from racerl.env.termination import STOP_SPEED, Crash
 from racerl.errors import ConfigError, LogError
 from racerl.evaluate.laps import Lap, LapTimer
 from racerl.track.frenet import PLACE, FrenetFrame
@@ -41,32 +44,54 @@ def follow(track: Track, logs: Sequence[Log]) -> tuple[list[Lap], pd.DataFrame]:
         for _, rows in log.table.groupby("run", sort=False):
             number = len(drives)
             timer, drive = _follow_run(track, rows, log.dt)
-            laps += [Lap(**{**vars(lap), "car": number}) for lap in timer.laps[0]]
+            laps += [replace(lap, car=number) for lap in timer.laps[0]]
             drives.append(drive.assign(run=number, seed=number))
     return laps, pd.concat(drives, ignore_index=True)
 
 
+class _Drive(NamedTuple):
+    """What a termination looks at, sample by sample, each (K,)."""
+
+    margin: Tensor
+    heading: Tensor
+    still_time: Tensor
+
+
 def _follow_run(track: Track, rows: pd.DataFrame, dt: float) -> tuple[LapTimer, pd.DataFrame]:
+    """Return the clock that a run leaves, and its drive."""
+    places, travelled = _places(track, rows)
+    slow = (rows["v_x"].abs() < STOP_SPEED).to_numpy()
+    _, _, heading, _, margin = places
+    down = Crash()(_Drive(margin, heading, _still_time(slow, dt))).numpy()
+    crashed = down & ~np.concatenate([[False], down[:-1]])  # as it happens
+    timer, laps = LapTimer(track.length, dt, travelled[:1]), [0]
+    for i in range(1, len(rows)):
+        before, after = travelled[i - 1 : i], travelled[i : i + 1]
+        timer.update(before, after, margin[i : i + 1].double().numpy(), crashed[i : i + 1], after)
+        laps.append(int(timer.current()[0]))
+    drive = rows[[name for name in ("t", *POSE, "v_x", "v_y", "yaw_rate", "delta", "omega") if name in rows]]
+    drive = drive.assign(**dict(zip(PLACE, places.numpy(), strict=True)), travelled=travelled, lap=laps)
+    if "delta" not in drive:
+        drive["delta"] = rows.get("delta_ref", np.nan)  # not measured
+    return timer, drive
+
+
+def _places(track: Track, rows: pd.DataFrame) -> tuple[Tensor, NDArray[np.float64]]:
+    """Return the places (5, K) of a run's samples, each followed from the one before, and the way travelled in m."""
     frame = FrenetFrame(track)
     x, y, yaw = (torch.tensor(rows[name].to_numpy(), dtype=torch.float32) for name in POSE)
     apart = (x[0] - frame.x) ** 2 + (y[0] - frame.y) ** 2
     place, _ = frame.locate(x[:1], y[:1], yaw[:1], apart.argmin()[None] * frame.spacing)
-    travelled = [float(place[0])]
-    places, laps = [place[:, 0].numpy()], [0]
-    timer = LapTimer(track.length, dt, np.array(travelled))
-    down, still = False, 0.0
-    speed = rows["v_x"].abs().to_numpy()
+    places, travelled = [place], [float(place[0])]
     for i in range(1, len(rows)):
         place, way = frame.locate(x[i : i + 1], y[i : i + 1], yaw[i : i + 1], place[0])
+        places.append(place)
         travelled.append(travelled[-1] + float(way))
-        still = still + dt if speed[i] < STOP_SPEED else 0.0
-        was, down = down, bool(place[4] < -CRASH_DISTANCE or place[2].abs() > HALF_TURN or still > STOP_TIME)
-        before, after, margin = (np.array([value]) for value in (travelled[-2], travelled[-1], float(place[4])))
-        timer.update(before, after, margin, np.array([down and not was]), after)
-        places.append(place[:, 0].numpy())
-        laps.append(int(timer.current()[0]))
-    drive = rows[[name for name in ("t", *POSE, "v_x", "v_y", "yaw_rate", "delta", "omega") if name in rows]]
-    drive = drive.assign(**dict(zip(PLACE, np.array(places).T, strict=True)), travelled=travelled, lap=laps)
-    if "delta" not in drive:
-        drive["delta"] = rows.get("delta_ref", np.nan)  # not measured
-    return timer, drive
+    return torch.cat(places, dim=1), np.array(travelled)
+
+
+def _still_time(slow: NDArray[np.bool_], dt: float) -> Tensor:
+    """Return for how long the car has been standing at each sample, in s."""
+    number = np.arange(len(slow))
+    moved = np.maximum.accumulate(np.where(slow, 0, number))  # the last sample at which it moved, or the first
+    return torch.tensor((number - moved) * dt)

@@ -1,6 +1,5 @@
 """What a report is about: training runs with their newest evaluation, read from run folders."""
 
-import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -12,12 +11,13 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from racerl.documents import MAX_TEXT_BYTES, read_json, read_text
+from racerl.documents import read_json
 from racerl.errors import DocumentError, RunError
 from racerl.optimum.floor import find_floor
 from racerl.run import RunFolder, find_runs
+from racerl.train.session import read_progress
 
-PROGRESS, METRICS, TRAJECTORIES, TRACK = "progress.jsonl", "metrics.json", "trajectories.parquet", "track.csv"
+METRICS, TRAJECTORIES, TRACK = "metrics.json", "trajectories.parquet", "track.csv"
 DRIVE_COLUMNS = ("run", "seed", "lap", "t", "s", "n", "x", "y", "v_x")
 TRACK_COLUMNS = ("s_m", "x_m", "y_m", "left_x_m", "left_y_m", "right_x_m", "right_y_m")
 NUMBER, NUMBER_OR_NONE = (int, float), (int, float, type(None))
@@ -119,20 +119,10 @@ def _subject(training: RunFolder | None, evaluated: RunFolder | None, around: Se
     evaluation = _read_evaluation(evaluated) if evaluated else None
     if evaluation:
         evaluation = replace(evaluation, floor_s=find_floor(evaluation.manifest.get("problem"), around))
-    progress = _read_progress(training.path / PROGRESS) if training else None
+    progress = read_progress(training.path) if training else None
     name = next(run for run in (training, evaluated) if run).path.name
     title = str(evaluation.metrics["label"]) if evaluation else name
     return Subject(name, title, training.manifest if training else None, progress, evaluation)
-
-
-def _read_progress(path: Path) -> pd.DataFrame:
-    """Return the training log; of a step that a resumed run wrote twice, the last line counts."""
-    try:
-        lines = [json.loads(line) for line in read_text(path, 16 * MAX_TEXT_BYTES).splitlines() if line.strip()]
-        table = pd.DataFrame(lines).apply(pd.to_numeric)
-        return table.drop_duplicates("steps", keep="last").sort_values("steps")
-    except (DocumentError, ValueError, KeyError, TypeError) as error:
-        raise RunError(f"{path}: cannot be read ({' '.join(str(error).split())}); train again") from error
 
 
 def _read_evaluation(folder: RunFolder) -> Evaluation:

@@ -5,12 +5,11 @@ The runner and the report read the same file. A `./sweeps` beside the user comes
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from racerl import bounds
-from racerl.documents import read_yaml
+from racerl.documents import packaged, read_yaml
 from racerl.errors import ConfigError, suggest
 from racerl.registry import construct
 
@@ -48,7 +47,7 @@ class Comparison:
             raise ConfigError(f"unknown metric '{self.metric}'{suggest(str(self.metric), METRICS)}")
         if bool(self.contrast) == bool(self.slope):
             raise ConfigError("a test compares arms: give either contrast or slope, a mapping from arms to numbers")
-        if sum(limit is not None for limit in (self.above, self.below, self.within)) != 1:
+        if len(self.limit) != 1:
             raise ConfigError("a test has one limit: above, below or within")
         for where, numbers in (("contrast", self.contrast), ("slope", self.slope)):
             for arm, number in numbers.items():
@@ -64,19 +63,24 @@ class Comparison:
         return {arm: (x - middle) / square for arm, x in self.slope.items()}
 
     @property
+    def limit(self) -> dict[str, float]:
+        """Side and value of the limit."""
+        limits = {"above": self.above, "below": self.below, "within": self.within}
+        return {side: value for side, value in limits.items() if value is not None}
+
+    @property
     def arms(self) -> set[str]:
         """Arms that it needs."""
         return {*self.weights, *([self.relative_to] if self.relative_to else [])}
 
     def holds(self, low: float, high: float) -> bool | None:
         """Return whether an interval lies on the claimed side, or on the other; None where it lies on both."""
-        if self.within is not None:
-            inside, outside = -self.within < low and high < self.within, low > self.within or high < -self.within
-        elif self.above is not None:
-            inside, outside = low > self.above, high < self.above
-        else:
-            assert self.below is not None  # noqa: S101
-            inside, outside = high < self.below, low > self.below
+        ((side, limit),) = self.limit.items()
+        inside, outside = {
+            "above": (low > limit, high < limit),
+            "below": (high < limit, low > limit),
+            "within": (-limit < low and high < limit, low > limit or high < -limit),
+        }[side]
         return True if inside else False if outside else None
 
 
@@ -104,9 +108,8 @@ class Sweep:
 
 
 def folder() -> Path:
-    """Return the folder of packaged sweeps: inside a wheel, or beside the package in a checkout."""
-    package = Path(str(files("racerl")))
-    return package / "sweeps" if (package / "sweeps").is_dir() else package.parent / "sweeps"
+    """Return the folder of packaged sweeps."""
+    return packaged("sweeps")
 
 
 def names() -> list[str]:
@@ -146,7 +149,7 @@ def _sweep(name: str, content: Mapping[str, Any]) -> Sweep:
         question=str(content["question"]),
         base=tuple(_words(name, "base", content["base"])),
         arms={str(arm): tuple(_words(name, f"arms.{arm}", words)) for arm, words in arms.items()},
-        seeds=tuple(bounds.whole("seeds", seed, 0, 2**31 - 1) for seed in content["seeds"]),
+        seeds=tuple(bounds.wholes("seeds", content["seeds"], 0, 2**31 - 1)),
         metrics=tuple(_words(name, "metrics", content["metrics"])),
         claims=tuple(_claims(name, content.get("claims") or {})),
         awaited=tuple(_words(name, "awaited", content.get("awaited") or [])),

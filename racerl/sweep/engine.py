@@ -107,7 +107,8 @@ class Engine:
                         again = tries[slot.job.name] <= self.retries
                         (waiting if again else failed).insert(0, slot.job)
                     shutil.rmtree(slot.folder, ignore_errors=True)
-                on_status([self._status(job, tries[job.name], slots, failed) for job in jobs])
+                running = [slot.job for slot in slots]
+                on_status([self._status(job, tries[job.name], running, waiting, failed) for job in jobs])
         finally:
             # those on this machine end by themselves once the folder is let go
             for slot in slots if self.kind == "slurm" else ():
@@ -138,11 +139,13 @@ class Engine:
         """Keep what a job that failed has printed."""
         write_text(self.folder / LOGS / f"{slot.job.path.name}.log", slot.handle.stdout() or "")
 
-    def _status(self, job: Job, tries: int, slots: Sequence[Slot], failed: Sequence[Job]) -> Status:
-        running = any(slot.job is job for slot in slots)
-        kind = "running" if running else "failed" if job in failed else "done" if job.done else "waiting"
+    def _status(
+        self, job: Job, tries: int, running: Sequence[Job], waiting: Sequence[Job], failed: Sequence[Job]
+    ) -> Status:
+        where = {"running": running, "waiting": waiting, "failed": failed}
+        kind = next((kind for kind, jobs in where.items() if job in jobs), "done")
         try:
-            told = read_json(job.path / STATE) if running else {}
+            told = read_json(job.path / STATE) if kind == "running" else {}
         except DocumentError:
             told = {}
         return Status(job, kind, tries, told)

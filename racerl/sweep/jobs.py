@@ -11,7 +11,7 @@ from racerl.sweep.definition import Sweep
 
 @dataclass(frozen=True)
 class Job:
-    """One training and its races; `path` is its folder."""
+    """One training and its races; `name` is its own among the jobs, `path` its folder."""
 
     name: str
     path: Path
@@ -53,9 +53,9 @@ def plan(sweeps: Sequence[Sweep], settings: Mapping[str, Any], out: Path, compos
                 train = compose("train", [*sweep.base, *own, *words, f"seed={seed}"])
                 identity = config_hash(train)
                 if identity not in jobs:
-                    jobs[identity] = _job(
-                        f"{arm}-{seed}", out / "jobs" / f"{arm}-{seed}-{identity[:6]}", train, settings, compose
-                    )
+                    path, name = out / "jobs" / f"{arm}-{seed}-{identity[:6]}", f"{arm}-{seed}"
+                    taken = any(job.name == name for job in jobs.values())  # by an arm of another sweep
+                    jobs[identity] = _job(path.name if taken else name, path, train, settings, compose)
                 of[sweep.name, arm, seed] = jobs[identity]
     # seed by seed, so that an interrupted sweep has all arms of the first
     return Plan(sweeps, sorted(jobs.values(), key=lambda job: int(job.train["seed"])), of)

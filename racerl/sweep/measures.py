@@ -4,7 +4,6 @@ Turn-in: the distance by which a lap's steering δ(s) leads the track's curvatur
 ∮ δ(s) κ(s + d) ds, in m.
 """
 
-import json
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,20 +11,20 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from racerl.documents import read_json, read_text
+from racerl.documents import read_json
 from racerl.errors import DocumentError, RunError
 from racerl.evaluate.evaluate import METRICS, TRACK, TRAJECTORIES
 from racerl.sweep.jobs import Job
+from racerl.train.session import read_progress
 
 Array = NDArray[np.float64]
-PROGRESS = "progress.jsonl"
 SHARE = 0.1  # of a training's end, over which its reward is averaged
 STEP, REACH = 0.05, 2.0  # m, of the grid that turn-in is looked for on, and how far
 COARSE = 0.1  # m, of the grid that steering is kept on
 
 
-def measure(job: Job, cars: Sequence[str]) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    """Return the laps that a finished job drove in every car, and what its training came to.
+def measure(job: Job, cars: Sequence[str]) -> list[dict[str, Any]]:
+    """Return the laps that a finished job drove in every car.
 
     Raises RunError for folders that are damaged.
     """
@@ -48,16 +47,15 @@ def measure(job: Job, cars: Sequence[str]) -> tuple[list[dict[str, Any]], dict[s
                         "turn_in_m": leads.get((row["seed"], row["number"])),
                     }
                 )
-        return laps, {"reward": final_reward(learning(job))}
+        return laps
     except (DocumentError, KeyError, OSError, ValueError) as error:
         raise RunError(f"{job.path}: is damaged ({' '.join(str(error).split())}); remove it and sweep again") from error
 
 
 def learning(job: Job) -> pd.DataFrame:
     """Return steps and reward per step over a training, one row per update."""
-    rows = [json.loads(line) for line in read_text(job.trained / PROGRESS, 2**27).splitlines() if line.strip()]
-    table = pd.DataFrame([{"steps": row["steps"], "reward": row.get("train/reward")} for row in rows])
-    return table.dropna().drop_duplicates("steps", keep="last").sort_values("steps", ignore_index=True)
+    table = read_progress(job.trained).reindex(columns=["steps", "train/reward"])
+    return table.rename(columns={"train/reward": "reward"}).dropna().reset_index(drop=True)
 
 
 def final_reward(table: pd.DataFrame) -> float | None:

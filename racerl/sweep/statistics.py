@@ -119,9 +119,7 @@ def _test(test: Comparison, sweep: Sweep, samples: Mapping[str, Samples]) -> dic
         "weights": test.weights,
         "slope": dict(test.slope),
         "relative_to": test.relative_to,
-        "limit": next(
-            {key: getattr(test, key)} for key in ("above", "below", "within") if getattr(test, key) is not None
-        ),
+        "limit": test.limit,
         "effect": None,
         "ci95": None,
         "seeds": 0,

@@ -18,10 +18,9 @@ from racerl.documents import read_json, write_json, write_text
 from racerl.errors import ConfigError, RunError
 from racerl.run import MANIFEST, Compose, RunFolder
 from racerl.sweep.definition import Sweep, read_sweeps
-from racerl.sweep.engine import LOGS as JOB_LOGS
-from racerl.sweep.engine import Engine, Status, alone
+from racerl.sweep.engine import LOGS, Engine, Status, alone
 from racerl.sweep.jobs import Plan, plan
-from racerl.sweep.measures import learning, measure, usual_steering
+from racerl.sweep.measures import final_reward, learning, measure, usual_steering
 from racerl.sweep.statistics import Samples, judge, resample
 
 RESULTS, LAPS, LEARNING = "results.json", "laps.csv", "learning.csv"
@@ -50,9 +49,7 @@ def sweep(
         failed = {job.name: engine.last_words(job) for job in engine.run(planned.jobs, on_status)}
         if len(failed) == len(planned.jobs):
             name, words = next(iter(failed.items()))
-            raise RunError(
-                f"all {len(failed)} jobs failed, {name}: {words}; what they printed stands in {out / JOB_LOGS}"
-            )
+            raise RunError(f"all {len(failed)} jobs failed, {name}: {words}; what they printed stands in {out / LOGS}")
         facts = summarise(planned, settings, out, failed)
         if not failed and folder.manifest["status"] != "complete":
             seconds = sum(read_json(job.trained / MANIFEST)["seconds"] for job in planned.jobs)
@@ -65,10 +62,7 @@ def check(settings: Mapping[str, Any]) -> None:
     bounds.whole("threads", settings["threads"], 1, 256)
     bounds.whole("laps", settings["laps"], 1, 10_000)
     for key in ("seeds", "starts"):
-        if not isinstance(settings[key], list):
-            raise ConfigError(f"{key} = {settings[key]}: a list of whole numbers is expected")
-        for seed in settings[key]:
-            bounds.whole(key, seed, 0, 2**31 - 1)
+        bounds.wholes(key, settings[key], 0, 2**31 - 1)
     if not isinstance(settings["cars"], list) or not settings["cars"]:
         raise ConfigError(f"cars = {settings['cars']}: a list of names from conf/car is expected")
 
@@ -92,18 +86,18 @@ def summarise(planned: Plan, settings: Mapping[str, Any], out: Path, failed: Map
 def gather(planned: Plan, cars: Sequence[str]) -> dict[str, pd.DataFrame]:
     """Return the tables of what the finished jobs measured, by file."""
     turning = {sweep.name for sweep in planned.sweeps if "turn_in" in sweep.metrics}
-    measured = {job.name: (*measure(job, cars), _thinned(learning(job))) for job in planned.jobs if job.done}
+    measured = {job.name: (measure(job, cars), learning(job)) for job in planned.jobs if job.done}
     laps: list[dict[str, Any]] = []
     trainings: list[dict[str, Any]] = []
     curves, steering = [], []
     for (sweep, arm, seed), job in planned.of.items():
         if job.name not in measured:
             continue
-        driven, trained, curve = measured[job.name]
+        driven, curve = measured[job.name]
         where = {"sweep": sweep, "arm": arm, "seed": seed}
         laps += [{**where, **row} for row in driven]
-        trainings.append({**where, **trained, "job": job.path.name})
-        curves.append(curve.assign(**where))
+        trainings.append({**where, "reward": final_reward(curve), "job": job.path.name})
+        curves.append(_thinned(curve).assign(**where))
         if sweep in turning:
             steering += [usual_steering(job, car).assign(**where, car=car) for car in cars]
     return {

@@ -4,18 +4,21 @@ import json
 import math
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
+import pandas as pd
 import torch
 from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat
 from torch import nn
 
 from racerl.assemble import build_race
 from racerl.control.policy import Policy, save_policy
+from racerl.documents import MAX_TEXT_BYTES, read_text
 from racerl.env.race import Race
 from racerl.env.termination import Crash
+from racerl.errors import DocumentError, RunError
 from racerl.evaluate.drive import drive
 from racerl.evaluate.laps import score
 from racerl.run import RunFolder
@@ -116,8 +119,21 @@ class Session:
             save_policy(policy, self.folder.path, evaluation=self.best)
 
 
+def read_progress(run: Path) -> pd.DataFrame:
+    """Return what a training logged; of a step that a resumed run wrote twice, the last line counts.
+
+    Raises RunError for a file that is missing or damaged.
+    """
+    path = run / PROGRESS
+    try:
+        lines = [json.loads(line) for line in read_text(path, 16 * MAX_TEXT_BYTES).splitlines() if line.strip()]
+        table = pd.DataFrame(lines).apply(pd.to_numeric)
+        return table.drop_duplicates("steps", keep="last").sort_values("steps")
+    except (DocumentError, ValueError, KeyError, TypeError) as error:
+        raise RunError(f"{path}: cannot be read ({' '.join(str(error).split())}); train again") from error
+
+
 def policy_of(network: nn.Sequential, race: Race, settings: Mapping[str, Any]) -> Policy:
     """Return a network as a policy for the race it learns in, sharing its weights."""
-    kept = {key: value for key, value in vars(race.observation).items() if not key.startswith("_")}
-    observation = {"name": settings["obs"]["name"], **kept}
+    observation = {"name": settings["obs"]["name"], **asdict(cast(Any, race.observation))}
     return Policy(network, observation, settings["action"])

@@ -1,5 +1,6 @@
 """The sweep as users run it: processes, locks, failures, and a plug that is pulled."""
 
+import dataclasses
 import json
 import os
 import random
@@ -14,6 +15,8 @@ import pytest
 from racerl.cli import _sweep_words
 from racerl.config import compose_settings
 from racerl.errors import RacerlError
+from racerl.sweep.definition import read_sweeps
+from racerl.sweep.jobs import plan
 from racerl.sweep.sweep import sweep as run
 
 ARMS = {"a": ["dr=none"], "b": ["sim=no_actuators"]}
@@ -87,6 +90,16 @@ def test_a_sweep_trains_shared_arms_once_and_passes_over_what_is_done(place):
     assert {path: path.stat().st_mtime for path in out.glob("jobs/*/*/manifest.json")} == written
     code, _, error = sweep(place, "out=once", "laps=2")
     assert code == 2 and "already holds another sweep" in error and error.count("\n") == 1
+
+
+def test_arms_of_the_same_name_and_other_words_are_jobs_of_their_own(tmp_path):
+    base = read_sweeps("action_space")[0]
+    arms = ({"a": ("obs=geometric",)}, {"a": ("obs=progress",)})
+    sweeps = [dataclasses.replace(base, name=f"s{i}", arms=each, seeds=(0,)) for i, each in enumerate(arms)]
+    settings = {"words": ["budget=smoke"], "threads": 1, "seeds": [], "laps": 1, "starts": [0], "cars": ["model"]}
+    planned = plan(sweeps, settings, tmp_path, compose_settings)
+    assert len({job.name for job in planned.jobs}) == len({job.path for job in planned.jobs}) == 2
+    assert planned.of["s0", "a", 0] is not planned.of["s1", "a", 0]
 
 
 def test_two_sweeps_in_one_folder_and_a_plug_pulled(place):
