@@ -280,7 +280,8 @@ def _train(settings: "Settings", out: Path) -> None:
 
 def _evaluate(settings: "Settings", out: Path) -> None:
     from racerl.console import Bar
-    from racerl.evaluate.evaluate import METRICS, evaluate
+    from racerl.evaluate.evaluate import evaluate
+    from racerl.evaluate.outcome import METRICS
 
     console = _console()
     with Bar(console, "evaluate") as bar:

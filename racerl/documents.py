@@ -13,11 +13,14 @@ import tempfile
 from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import yaml
 
 from racerl.errors import DocumentError
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 MAX_TEXT_BYTES = 8 * 1024 * 1024
 MAX_YAML_BYTES = 1024 * 1024
@@ -63,6 +66,13 @@ def write_json(path: Path, content: Any) -> None:
 def write_yaml(path: Path, content: Mapping[str, Any]) -> None:
     """Write plain YAML atomically, keys in their order."""
     write_text(path, yaml.safe_dump(dict(content), sort_keys=False))
+
+
+def write_parquet(path: Path, table: "pd.DataFrame") -> None:
+    """Write a table atomically as Parquet, without its index."""
+    stream = io.BytesIO()
+    table.to_parquet(stream, index=False)
+    write_bytes(path, stream.getvalue())
 
 
 def read_text(path: Path, limit: int = MAX_TEXT_BYTES) -> str:

@@ -4,7 +4,6 @@
 `log_0.parquet` …    the logs as they came out of the mapping, in the order given
 """
 
-import io
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ from typing import Any
 from racerl.data.inspect import compare, inspect
 from racerl.data.layout import read_layout
 from racerl.data.load import load_given
-from racerl.documents import write_bytes, write_json
+from racerl.documents import write_json, write_parquet
 from racerl.run import RunFolder
 
 FACTS = "data.json"
@@ -27,9 +26,7 @@ def survey(settings: Mapping[str, Any], out: Path) -> dict[str, Any]:
     facts = {"logs": inspections, "warnings": shared}
     folder = RunFolder.start(out, "data", settings)
     for number, log in enumerate(logs):
-        stream = io.BytesIO()
-        log.table.to_parquet(stream, index=False)
-        write_bytes(folder.path / table_name(number), stream.getvalue())
+        write_parquet(folder.path / table_name(number), log.table)
     write_json(folder.path / FACTS, facts)
     folder.finish(logs=len(logs), warnings=sum(len(log["warnings"]) for log in inspections) + len(shared))
     return facts

@@ -1,35 +1,28 @@
 """The evaluate stage: flying laps of a trained policy in a car, scored and recorded; or those of a recorded drive.
 
-Reads a finished training run, or a drive log; writes `metrics.json`, `trajectories.parquet` (the drive-log format with
-the place on the track added) and `track.csv` (centreline and boundaries, for drawing).
+Reads a finished training run, or a drive log; `racerl.evaluate.outcome` says what is written.
 """
 
-import io
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import pandas as pd
 import torch
 
 from racerl import bounds
 from racerl.assemble import Car, build_race, check_settings, choose_device, use_threads
 from racerl.control.policy import load_policy
-from racerl.documents import write_bytes, write_json, write_text
 from racerl.env.race import Race
 from racerl.env.randomize import Randomization
 from racerl.env.termination import Crash
 from racerl.errors import ConfigError, PolicyError
 from racerl.evaluate.drive import Recorder, drive
-from racerl.evaluate.laps import rows, score
+from racerl.evaluate.outcome import write_outcome
 from racerl.evaluate.recorded import follow, read_recorded
-from racerl.optimum.floor import find_floor, gap, problem_hash
+from racerl.optimum.floor import find_floor, problem_hash
 from racerl.registry import construct
 from racerl.run import RunFolder, find_runs
-from racerl.track.track import Track
 
-METRICS, TRAJECTORIES, TRACK = "metrics.json", "trajectories.parquet", "track.csv"
 UNLIMITED = 2**31  # control steps: evaluation is never cut off
 OVERRIDABLE = ("vehicle", "track", "sim", "dr")
 
@@ -62,26 +55,21 @@ def evaluate(
     recorder = Recorder(race, seeds)
     problem = problem_hash(race.vehicle, race.track, race.action)
     driven = drive(race, policy, laps, recorder, lambda fewest: on_lap(fewest, laps))
-    scored = score(driven)
-    floor = find_floor(problem, find_runs(Path("outputs")))
-    metrics = {
-        **scored,
-        "optimum_s": floor,
-        "mean_over_optimum": gap(scored["mean_lap_s"], floor),
-        "laps_per_seed": laps,
-        "track": race.track.name,
-        "car": car.name,
-        "controller": policy.name,
-        "seed": seeds,
-        "run": str(settings["run"]),
-        "run_id": trained.manifest["run_id"],
-        "trained": {key: trained.manifest.get(key) for key in ("steps", "seconds")},
-        "label": name,
-        "nan_cars": race.faults,
-        "git_sha": folder.manifest["git_sha"],
-        "rows": rows(driven, seeds),
-    }
-    _save(folder.path, metrics, recorder.log(), race.track)
+    metrics = write_outcome(
+        folder,
+        driven,
+        seeds,
+        recorder.log(),
+        race.track,
+        label=name,
+        car=car.name,
+        controller=policy.name,
+        floor=find_floor(problem, find_runs(Path("outputs"))),
+        faults=race.faults,
+        run=str(settings["run"]),
+        run_id=trained.manifest["run_id"],
+        trained={key: trained.manifest.get(key) for key in ("steps", "seconds")},
+    )
     folder.finish(train_run_id=trained.manifest["run_id"], nan_cars=race.faults, problem=problem)
     return metrics
 
@@ -90,29 +78,11 @@ def _evaluate_log(settings: Mapping[str, Any], out: Path) -> dict[str, Any]:
     track, logs = read_recorded(settings)
     folder = RunFolder.start(out, "evaluate", settings)
     driven, drive = follow(track, logs)
-    metrics = {
-        **score(driven),
-        "optimum_s": None,
-        "mean_over_optimum": None,
-        "laps_per_seed": None,
-        "track": track.name,
-        "car": "recorded",
-        "controller": "recorded",
-        "label": f"log {logs[0].name}",
-        "nan_cars": 0,
-        "git_sha": folder.manifest["git_sha"],
-        "rows": rows(driven, range(1 + max((lap.car for lap in driven), default=0))),
-    }
-    _save(folder.path, metrics, drive, track)
-    folder.finish(train_run_id=f"log {folder.manifest['run_id']}")
+    cars = range(1 + max((lap.car for lap in driven), default=0))
+    label = f"log {logs[0].name}"
+    metrics = write_outcome(folder, driven, cars, drive, track, label=label, car="recorded", controller="recorded")
+    folder.finish()
     return metrics
-
-
-def _save(folder: Path, metrics: Mapping[str, Any], drive: pd.DataFrame, track: Track) -> None:
-    """Write the files of an evaluation."""
-    write_bytes(folder / TRAJECTORIES, _parquet(drive))
-    write_text(folder / TRACK, track_table(track))
-    write_json(folder / METRICS, metrics)
 
 
 def combine(trained: Mapping[str, Any], settings: Mapping[str, Any], car: Car) -> dict[str, Any]:
@@ -149,31 +119,8 @@ def label(settings: Mapping[str, Any]) -> str:
     return ", ".join(part.replace("_", " ") for part in parts)
 
 
-def track_table(track: Track) -> str:
-    """Return centreline and boundaries as CSV."""
-    s = np.arange(len(track.x)) * track.spacing
-    (left_x, left_y), (right_x, right_y) = track.boundary(1), track.boundary(-1)
-    columns = {
-        "s_m": s,
-        "x_m": track.x,
-        "y_m": track.y,
-        "left_x_m": left_x,
-        "left_y_m": left_y,
-        "right_x_m": right_x,
-        "right_y_m": right_y,
-        "curvature_1_m": track.curvature,
-    }
-    return pd.DataFrame(columns).to_csv(index=False, float_format="%.5f")
-
-
 def _seeds(value: Any) -> list[int]:
     seeds = bounds.wholes("seeds", [value] if isinstance(value, int) else value, 0, 2**31 - 1)
     if not seeds:
         raise ConfigError("seeds = []: one at least is needed")
     return seeds
-
-
-def _parquet(table: pd.DataFrame) -> bytes:
-    stream = io.BytesIO()
-    table.to_parquet(stream, index=False)
-    return stream.getvalue()

@@ -5,7 +5,6 @@ held-out errors), and `overlay.parquet` and `tyres.parquet`, which the report dr
 only scored: no `model.yaml`, and the errors are the given vehicle's.
 """
 
-import io
 import re
 import time
 from collections.abc import Callable, Mapping
@@ -13,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from racerl import bounds
@@ -21,7 +19,7 @@ from racerl.assemble import use_threads
 from racerl.data.inspect import compare, inspect
 from racerl.data.load import load_given
 from racerl.data.log import CHANNELS, separate
-from racerl.documents import write_bytes, write_json
+from racerl.documents import write_json, write_parquet
 from racerl.errors import ConfigError, LogError
 from racerl.identify.document import write_model
 from racerl.identify.folds import deal
@@ -98,8 +96,8 @@ def identify(
     facts["residuals"] = {"unfitted": scored.histogram(start), "fitted": scored.histogram(theta)}
     if task is not None:
         write_model(folder.path / MODEL, settings["vehicle"], dict(zip(rollout.names, theta, strict=True)), facts)
-    write_bytes(folder.path / OVERLAY, _parquet(scored.overlay(start, theta)))
-    write_bytes(folder.path / TYRES, _parquet(tyre_curves(vehicle, rollout.names, theta, draws)))
+    write_parquet(folder.path / OVERLAY, scored.overlay(start, theta))
+    write_parquet(folder.path / TYRES, tyre_curves(vehicle, rollout.names, theta, draws))
     write_json(folder.path / RESULT, facts)
     folder.finish(seconds=round(time.perf_counter() - began, 2))
     return facts
@@ -238,9 +236,3 @@ def _hold_out(
 
 def _snake(name: str) -> str:
     return re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()
-
-
-def _parquet(table: pd.DataFrame) -> bytes:
-    stream = io.BytesIO()
-    table.to_parquet(stream, index=False)
-    return stream.getvalue()

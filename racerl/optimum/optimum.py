@@ -5,7 +5,6 @@ line or turned into the turns, and the best lap found is refined until its time 
 `raceline.csv` in the TUM format and `trajectory.parquet`.
 """
 
-import io
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -19,7 +18,7 @@ import torch
 from numpy.typing import NDArray
 
 from racerl.assemble import build_action, build_timing, build_track, build_vehicle, use_threads
-from racerl.documents import write_bytes, write_json, write_text
+from racerl.documents import write_json, write_parquet, write_text
 from racerl.env.actions import Action
 from racerl.errors import OptimumError
 from racerl.optimum.collocation import Collocation, Solution
@@ -151,9 +150,7 @@ def optimum(
         "seconds": round(time.perf_counter() - began, 2),
     }
     table = trajectory(best.solution)
-    stream = io.BytesIO()
-    table.to_parquet(stream, index=False)
-    write_bytes(folder.path / TRAJECTORY, stream.getvalue())
+    write_parquet(folder.path / TRAJECTORY, table)
     write_text(folder.path / RACELINE, tum_raceline(table))
     write_json(folder.path / RESULT, facts)
     problem = problem_hash(vehicle, track, action)

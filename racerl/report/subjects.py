@@ -13,11 +13,11 @@ import pyarrow.parquet as pq
 
 from racerl.documents import read_json
 from racerl.errors import DocumentError, RunError
+from racerl.evaluate.outcome import METRICS, TRACK, TRAJECTORIES
 from racerl.optimum.floor import find_floor
 from racerl.run import RunFolder, find_runs
 from racerl.train.session import read_progress
 
-METRICS, TRAJECTORIES, TRACK = "metrics.json", "trajectories.parquet", "track.csv"
 DRIVE_COLUMNS = ("run", "seed", "lap", "t", "s", "n", "x", "y", "v_x")
 TRACK_COLUMNS = ("s_m", "x_m", "y_m", "left_x_m", "left_y_m", "right_x_m", "right_y_m")
 NUMBER, NUMBER_OR_NONE = (int, float), (int, float, type(None))
@@ -105,8 +105,8 @@ def find_subjects(paths: list[Path], outputs: Path) -> list[Subject]:
 
 
 def _origin(evaluation: RunFolder) -> str:
-    """Return the id of the training run that an evaluation raced."""
-    return str(evaluation.manifest.get("train_run_id"))
+    """Return the id of the training run that an evaluation raced; its own where there was none."""
+    return str(evaluation.manifest.get("train_run_id") or evaluation.manifest["run_id"])
 
 
 def _with_own_titles(subjects: list[Subject]) -> list[Subject]:

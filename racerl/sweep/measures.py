@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from racerl.documents import read_json
 from racerl.errors import DocumentError, RunError
-from racerl.evaluate.evaluate import METRICS, TRACK, TRAJECTORIES
+from racerl.evaluate.outcome import METRICS, TRACK, TRAJECTORIES
 from racerl.sweep.jobs import Job
 from racerl.train.session import read_progress
 

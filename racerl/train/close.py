@@ -11,7 +11,8 @@ from typing import Any
 from racerl.data.load import load_given
 from racerl.documents import read_json, write_json
 from racerl.errors import ConfigError
-from racerl.evaluate.evaluate import METRICS, evaluate
+from racerl.evaluate.evaluate import evaluate
+from racerl.evaluate.outcome import METRICS
 from racerl.gap.diagnose import MODEL, MODEL_BEFORE, VERDICT, gap
 from racerl.run import Compose, RunFolder, is_complete
 from racerl.train.train import train
