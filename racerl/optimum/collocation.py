@@ -1,9 +1,6 @@
 """The minimum-time lap by direct collocation along the corridor.
 
-States z = (n, ξ, v_x, v_y, r, δ, ω, states of effects, drive reference where the action integrates it) over the line's
-arc length s, with ξ the car's heading relative to the line. With the car's own derivative f taken at yaw ξ,
-
-    ds/dt = f_x/(1 − κn),   dn/dt = f_y,   dξ/dt = r − κ ds/dt,   T = ∫ dt/ds ds → min.
+With the motion ds/dt, dz/dt of `along`, over the line's arc length:  dz/ds = dz/dt dt/ds,  T = ∫ dt/ds ds → min.
 
 Radau points, two to an interval; commands are constant over an interval. The lap is periodic.
 """
@@ -18,9 +15,9 @@ from numpy.typing import NDArray
 
 from racerl.env.actions import Action
 from racerl.errors import OptimumError
+from racerl.optimum.along import DELTA, OMEGA, V_X, V_Y, XI, YAW_RATE, N, half_range, middle, motion, scales
 from racerl.optimum.corridor import Corridor, Stretch
-from racerl.vehicle.ops import CasadiOps
-from racerl.vehicle.vehicle import STATE, Vehicle
+from racerl.vehicle.vehicle import Vehicle
 
 ORDER = 2  # collocation points per interval
 MOST_TURN = 1.4  # rad, |ξ|
@@ -28,7 +25,6 @@ GRIP_USED = 0.3  # of the weight, by the first guess in the tightest turn
 SLOWEST = 0.2  # of the first guess's speed
 LEAST_SHARE = 0.05  # of the corridor's width, left by `room`
 TIME_LIMIT = 60.0  # s for one solution
-N, XI, V_X, V_Y, YAW_RATE, DELTA, OMEGA = range(7)
 
 Array = NDArray[np.float64]
 Guess = Callable[[Array, Array], tuple[Array, Array]]
@@ -97,16 +93,6 @@ class Solution:
         return guess
 
 
-def middle(action: Action) -> float:
-    """Return the middle of the drive reference's range."""
-    return (action.drive_max + action.drive_min) / 2
-
-
-def half_range(action: Action) -> float:
-    """Return half of the drive reference's range."""
-    return (action.drive_max - action.drive_min) / 2
-
-
 class Collocation:
     """The problem on one mesh, `room` metres inside the boundaries and with v_x up to `fastest` m/s."""
 
@@ -127,8 +113,7 @@ class Collocation:
         s = ((np.arange(intervals)[:, None] + tau) * self.step).ravel()
         self.stretch = corridor.at(s)
         self.shares = s / corridor.length
-        own = len(vehicle.states) - len(STATE)
-        self.scale = np.array([0.5, 0.5, 3.0, 1.0, 3.0, 0.5, 3.0] + [1.0] * own + [3.0] * self.integrated)
+        self.scale = scales(vehicle, action)
         self._interval = self._make_interval(tau)
 
     def guess(self, sliding: float) -> Guess:
@@ -188,14 +173,7 @@ class Collocation:
 
     def _rate(self, z: Any, u: Any, kappa: Any) -> tuple[Any, Any]:
         """Return dz/ds and dt/ds."""
-        drive = z[len(self.scale) - 1] if self.integrated else middle(self.action) + half_range(self.action) * u[1]
-        own = [z[7 + i] for i in range(len(self.vehicle.states) - len(STATE))]
-        state = casadi.vertcat(0, 0, *[z[i] for i in range(XI, OMEGA + 1)], *own)
-        f = self.vehicle.derivative(state, casadi.vertcat(u[0] * self.action.steering_max, drive), CasadiOps())
-        speed = f[0] / (1 - kappa * z[N])  # ds/dt
-        rows = [f[1], f[2] - kappa * speed, *[f[i] for i in range(3, len(self.vehicle.states))]]
-        if self.integrated:
-            rows.append(u[1] * self.action.rate_max)
+        speed, rows = motion(self.vehicle, self.action, z, u, kappa)
         return casadi.vertcat(*rows) / speed, 1 / speed
 
     def _bounds(self) -> tuple[Array, Array]:

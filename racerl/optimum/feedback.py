@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from racerl.env.actions import Action
 from racerl.errors import OptimumError
-from racerl.optimum.collocation import OMEGA, V_X, V_Y, XI, YAW_RATE, N, Solution, half_range, middle
+from racerl.optimum.along import OMEGA, V_X, V_Y, XI, YAW_RATE, N, motion
+from racerl.optimum.collocation import Solution
 from racerl.optimum.corridor import Corridor
-from racerl.vehicle.ops import CasadiOps
 
 PLACES = 400  # round the lap
 ROUNDS = 400  # of the recursion, at most
@@ -92,12 +92,10 @@ def _driven_on(solution: Solution, action: Action, corridor: Corridor, dt: float
     grid = np.arange(-margin, corridor.length + margin, 0.02)
     curvature = casadi.interpolant("curvature", "linear", [grid], corridor.at(grid).curvature)
     z, u, kappa = casadi.SX.sym("z", count), casadi.SX.sym("u", 2), casadi.SX.sym("k")
-    drive = z[count - 1] if action.integrated else middle(action) + half_range(action) * u[1]
-    state = casadi.vertcat(0, 0, z[1 : len(vehicle.states) - 1])
-    f = vehicle.derivative(state, casadi.vertcat(u[0] * action.steering_max, drive), CasadiOps())
-    speed = f[0] / (1 - kappa * z[N])
-    rates = [speed, f[1], f[2] - kappa * speed, *[f[i] for i in range(3, len(vehicle.states))]]
-    rate = casadi.Function("rate", [z, u, kappa], [casadi.vertcat(*rates, *([0] if action.integrated else []))])
+    speed, rows = motion(vehicle, action, z, u, kappa)
+    if action.integrated:
+        rows[-1] = 0.0  # moved once, at the period's beginning
+    rate = casadi.Function("rate", [z, u, kappa], [casadi.vertcat(speed, *rows)])
 
     s_0, z_0, held = casadi.MX.sym("s"), casadi.MX.sym("z", count), casadi.MX.sym("u", 2)
     y = casadi.vertcat(s_0, z_0)

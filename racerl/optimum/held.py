@@ -12,7 +12,8 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from racerl.optimum.collocation import N, Solution, minimise
+from racerl.optimum.along import N
+from racerl.optimum.collocation import Solution, minimise
 from racerl.optimum.corridor import Corridor
 from racerl.vehicle.integrate import rk4
 from racerl.vehicle.ops import CasadiOps

@@ -11,7 +11,8 @@ import numpy as np
 import torch
 
 from racerl.env.actions import Action
-from racerl.optimum.collocation import V_X, Collocation, Guess, Solution
+from racerl.optimum.along import V_X
+from racerl.optimum.collocation import Collocation, Guess, Solution
 from racerl.optimum.corridor import Corridor
 from racerl.optimum.optimum import best_start
 from racerl.track.track import Track

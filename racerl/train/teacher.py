@@ -10,11 +10,10 @@ import torch
 from torch import Tensor
 
 from racerl.env.race import Race
+from racerl.optimum.along import LineFrame
 from racerl.optimum.corridor import Corridor
 from racerl.optimum.feedback import PLACES, Feedback, regulate
 from racerl.optimum.ladder import find_ladder
-from racerl.track.frenet import FrenetFrame, wrap_angle
-from racerl.track.track import SPACING
 
 HELD, CLIMBED = 1.0, 4.0  # Σ (e/b)² below which a lap is held, and the next one tried
 BASIN = 3.0  # of the tolerances of place and heading
@@ -31,10 +30,7 @@ class Teacher:
         self.laps = find_ladder(race.vehicle, race.track, race.action, corridor)
         timing = race.timing
         rungs = [regulate(lap, race.action, corridor, width, timing.dt, timing.substeps) for lap in self.laps]
-        self._along = torch.as_tensor(
-            corridor.along(np.linspace(0.0, race.track.length, len(race.track.x), endpoint=False)), dtype=race.dtype
-        )
-        self.frame = FrenetFrame(corridor.as_track(SPACING), race.device, race.dtype)
+        self.line = LineFrame(corridor, race)
 
         def table(values: list[np.ndarray]) -> Tensor:
             return torch.as_tensor(np.stack(values), dtype=race.dtype, device=race.device)
@@ -46,8 +42,8 @@ class Teacher:
 
     def __call__(self, race: Race) -> Tensor:
         """Return the actions (N, 2), which may reach beyond ± 1."""
-        s, z = self._place(race)
-        position = s / self.frame.length * PLACES
+        s, z = self.line.locate(race, race.state, race.s)
+        position = s / self.line.frame.length * PLACES
         cell = position.floor()
         share, index = (position - cell)[:, None], cell.long() % PLACES
         following = (index + 1) % PLACES
@@ -66,21 +62,12 @@ class Teacher:
         reachable = distance.gather(0, above[None])[0] < CLIMBED
         return torch.where(reachable, above, rung)
 
-    def _place(self, race: Race) -> tuple[Tensor, Tensor]:
-        """Return the cars' s along the line and states z (N, Z) relative to it."""
-        near = self._along[(race.s / race.frame.spacing).round().long() % race.frame.count]
-        foot = self.frame.project(race.state[0], race.state[1], near)
-        rows = [foot.n, wrap_angle(race.state[2] - foot.yaw), *race.state[3:]]
-        if race.action.integrated:
-            rows.append(race.command[1])
-        return foot.s, torch.stack(rows, dim=1)
-
     def start(self, race: Race, cars: Tensor, generator: torch.Generator) -> None:
         """Put the cars of these numbers (K,) somewhere near the fastest lap."""
         index = torch.randint(0, PLACES, (len(cars),), generator=generator)
         spread = torch.nan_to_num(self.tolerances, posinf=0.0) * START_SPREAD
         z = self.states[-1, index] + spread * torch.randn(len(cars), len(spread), generator=generator)
-        x, y, yaw = self.frame.position(index * (self.frame.length / PLACES), z[:, 0])
+        x, y, yaw = self.line.frame.position(index * (self.line.frame.length / PLACES), z[:, 0])
         size = len(race.vehicle.states)
         state = torch.stack([x, y, yaw + z[:, 1], *z[:, 2 : size - 1].T])
         drive = z[:, -1] if race.action.integrated else race.action.initial(z[:, 6])
