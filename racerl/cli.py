@@ -106,8 +106,13 @@ def evaluate(arguments: Run = None) -> None:
 
     Drives flying laps per seed; writes metrics.json and trajectories.parquet. A recorded drive is scored the same way:
     racerl evaluate drive.csv.gz track=l_shape
+
+    Rivals race in the world of racerl train: racerl evaluate controller=mpc car=twin
     """
-    _run("evaluate", arguments, _evaluate, positional="run")
+    if any(word.lstrip("+").startswith("controller") for word in arguments or []):
+        _run("race", arguments, _race)
+    else:
+        _run("evaluate", arguments, _evaluate, positional="run")
 
 
 @app.command(context_settings=HYDRA)
@@ -279,15 +284,26 @@ def _train(settings: "Settings", out: Path) -> None:
 
 
 def _evaluate(settings: "Settings", out: Path) -> None:
-    from racerl.console import Bar
     from racerl.evaluate.evaluate import evaluate
+
+    _show_laps(evaluate, settings, out)
+
+
+def _show_laps(stage: Callable[..., dict[str, Any]], settings: "Settings", out: Path) -> None:
+    from racerl.console import Bar
     from racerl.evaluate.outcome import METRICS
 
     console = _console()
     with Bar(console, "evaluate") as bar:
-        metrics = evaluate(settings, out, lambda done, total: bar.show(done / total, f"lap {done} of {total}"))
+        metrics = stage(settings, out, lambda done, total: bar.show(done / total, f"lap {done} of {total}"))
     _print_metrics(console, metrics)
     console.print(f"results in {out / METRICS}; draw them with: racerl report {out}", highlight=False, soft_wrap=True)
+
+
+def _race(settings: "Settings", out: Path) -> None:
+    from racerl.evaluate.rivals import race
+
+    _show_laps(race, settings, out)
 
 
 def _record(settings: "Settings", out: Path) -> None:

@@ -5,8 +5,8 @@ Runge–Kutta steps; its slopes come from the variational equation  Ḋ = ∂f/�
 
     −(s_K − s_0) + h Σ_k q_β(β_kin − β_dyn)² + q_δ(δ_ref − δ)² + q_ω(ω_ref − ω)² + q_n e_k
 
-has the kinematic sideslip β_kin = atan(l_r tan δ/L), the sideslip β_dyn = atan(v_y/v_x), and e ≥ 0, what a node is
-beyond the boundaries, less `room`.
+has the kinematic sideslip β_kin = atan(l_r tan δ/L), the sideslip β_dyn = atan(v_y/v_x), and e ≥ 0, by which a node is
+beyond the boundaries, less `room` (m), or turned away from the line by more than `turn` (rad).
 """
 
 from collections.abc import Callable
@@ -17,8 +17,8 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from racerl.env.actions import Action
-from racerl.optimum.along import DELTA, OMEGA, V_X, V_Y, XI, N, half_range, middle, motion, scales, size
+from racerl.env.actions import Action, half_range, middle
+from racerl.optimum.along import DELTA, OMEGA, V_X, V_Y, XI, N, motion, scales, size
 from racerl.optimum.corridor import Corridor
 from racerl.vehicle.codegen import build
 from racerl.vehicle.vehicle import Vehicle
@@ -65,7 +65,7 @@ class Table:
         self.length = corridor.length
         count = round(corridor.length / TABLE)
         self._spacing = corridor.length / count
-        stretch = corridor.at(np.arange(count) * self._spacing)
+        stretch = corridor.at(np.arange(count, dtype=np.float64) * self._spacing)
         values = np.stack([stretch.curvature, stretch.low, stretch.high])
         slopes = (np.roll(values, -1, axis=1) - np.roll(values, 1, axis=1)) / (2 * self._spacing)
         self._rows = np.ascontiguousarray(np.concatenate([values, slopes]).T)
@@ -118,12 +118,12 @@ class Horizon:
         return Slopes(at, by[:, :, : self.states], by[:, :, self.states :])
 
     def residuals(self, path: Path) -> tuple[Array, Array]:
-        """Return the nodes' weighted residuals (K, 3), half their squares' sum is the cost, and slopes (K, 3, Y + 2)."""
-        values, slopes = self._residual(path.y[:-1].T, path.u.T)
-        return np.array(values).T, np.array(slopes).reshape(3, self.nodes, -1).transpose(1, 0, 2)
+        """Return the weighted residuals of all nodes but the last (K, R), and their slopes (K, R, Y + 2)."""
+        values, slopes = (np.array(part) for part in self._residual(path.y[:-1].T, path.u.T))
+        return values.T, slopes.reshape(len(values), self.nodes, -1).transpose(1, 0, 2)
 
     def beyond(self, path: Path) -> Array:
-        """Return by how many metres each node but the first and the last is beyond the room, (K − 1,)."""
+        """Return e of each node but the first and the last, (K − 1,)."""
         _, low, high, *_ = self.table.at(path.y[1:-1, 0])
         n, xi = path.y[1:-1, 1 + N], path.y[1:-1, 1 + XI]
         outside = np.maximum(n - high, low - n) + self.weights.room

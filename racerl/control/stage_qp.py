@@ -44,14 +44,14 @@ class StageQp:
     def __init__(self, nodes: int, states: int, commands: int) -> None:
         self.nodes, self.states, self.inputs = nodes, states, commands + 1
         K, Y, inputs = nodes, states, self.inputs
-        structure = {
+        structure: dict[str, Any] = {
             "N": K,
             "nx": [0] + [Y] * K,
             "nu": [inputs] * K + [0],
             "ng": [0] + [ROWS] * (K - 1) + [0],
         }
         shape = {"h": self._hessian_sparsity(), "a": self._rows_sparsity()}
-        quiet = {"error_on_fail": False, "print_time": False}
+        quiet: dict[str, Any] = {"error_on_fail": False, "print_time": False}
         hpipm = {"iter_max": ITERATIONS, **ACCURACY}
         self._hpipm = casadi.conic("hpipm", "hpipm", shape, {**structure, "hpipm": hpipm, **quiet})
         self._osqp = casadi.conic("osqp", "osqp", shape, {"osqp": {"verbose": False}, **quiet})
@@ -118,7 +118,8 @@ class StageQp:
     def _rows_sparsity(self) -> Any:
         """Return the pattern  [B_0 −I], [A_1 B_1 −I; C_1], …, [A B −I]."""
         K, Y, inputs = self.nodes, self.states, self.inputs
-        rows, columns = [], []
+        rows: list[int] = []
+        columns: list[int] = []
         for k in range(K):
             top = k * (Y + ROWS) - (ROWS if k else 0)
             height = Y + (ROWS if k else 0)

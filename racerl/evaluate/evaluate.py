@@ -34,7 +34,7 @@ def evaluate(
     if Path(str(settings["run"])).is_file():
         return _evaluate_log(settings, out)
     trained = RunFolder.open_complete(Path(settings["run"]), "train")
-    seeds, laps = _seeds(settings["seeds"]), bounds.whole("laps", settings["laps"], 1, 10_000)
+    seeds, laps = seeds_of(settings["seeds"]), bounds.whole("laps", settings["laps"], 1, 10_000)
     use_threads(settings["threads"])
     trained_settings = trained.settings()
     check_settings(trained_settings)
@@ -119,7 +119,8 @@ def label(settings: Mapping[str, Any]) -> str:
     return ", ".join(part.replace("_", " ") for part in parts)
 
 
-def _seeds(value: Any) -> list[int]:
+def seeds_of(value: Any) -> list[int]:
+    """Return the seeds of starts, of which one may be given alone; raise ConfigError for anything else."""
     seeds = bounds.wholes("seeds", [value] if isinstance(value, int) else value, 0, 2**31 - 1)
     if not seeds:
         raise ConfigError("seeds = []: one at least is needed")

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from racerl.env.actions import Action
+from racerl.env.actions import Action, half_range, middle
 from racerl.env.race import Race
 from racerl.optimum.corridor import Corridor
 from racerl.track.frenet import FrenetFrame, wrap_angle
@@ -22,16 +22,6 @@ from racerl.vehicle.ops import CasadiOps
 from racerl.vehicle.vehicle import STATE, Vehicle
 
 N, XI, V_X, V_Y, YAW_RATE, DELTA, OMEGA = range(7)
-
-
-def middle(action: Action) -> float:
-    """Return the middle of the drive reference's range."""
-    return (action.drive_max + action.drive_min) / 2
-
-
-def half_range(action: Action) -> float:
-    """Return half of the drive reference's range."""
-    return (action.drive_max - action.drive_min) / 2
 
 
 def size(vehicle: Vehicle, action: Action) -> int:

@@ -13,9 +13,9 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from racerl.env.actions import Action
+from racerl.env.actions import Action, half_range, middle
 from racerl.errors import OptimumError
-from racerl.optimum.along import DELTA, OMEGA, V_X, V_Y, XI, YAW_RATE, N, half_range, middle, motion, scales
+from racerl.optimum.along import DELTA, OMEGA, V_X, V_Y, XI, YAW_RATE, N, motion, scales
 from racerl.optimum.corridor import Corridor, Stretch
 from racerl.vehicle.vehicle import Vehicle
 

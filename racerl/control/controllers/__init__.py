@@ -26,6 +26,14 @@ class Known:
     timing: Timing
 
 
+class Rival(Controller, Protocol):
+    """A controller that tells what happened to it."""
+
+    @property
+    def facts(self) -> Mapping[str, Any]:
+        """What its results say beside the laps."""
+
+
 class Design(Protocol):
     """A controller's settings."""
 
@@ -33,7 +41,7 @@ class Design(Protocol):
     def delay(self) -> float:
         """Time from what it sees to when its command acts, in s."""
 
-    def prepare(self, known: Known) -> Controller:
+    def prepare(self, known: Known) -> Rival:
         """Return the controller, ready to drive any number of cars; raise OptimumError where it finds no line."""
 
 

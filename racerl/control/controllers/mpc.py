@@ -8,6 +8,7 @@ drive is the first plan.
 
 from collections import deque
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -18,9 +19,10 @@ from racerl import bounds
 from racerl.control.controllers import Known
 from racerl.control.horizon import Horizon, Path, Weights
 from racerl.control.stage_qp import ROWS, Problem, StageQp
+from racerl.env.actions import outputs
 from racerl.env.race import Race
 from racerl.errors import ConfigError
-from racerl.optimum.along import V_X, XI, YAW_RATE, LineFrame, N, half_range, middle
+from racerl.optimum.along import V_X, XI, YAW_RATE, LineFrame, N
 from racerl.optimum.corridor import Corridor
 from racerl.vehicle.delay import delayed
 from racerl.vehicle.ops import TORCH
@@ -49,7 +51,7 @@ class Mpc:
     q_drive: float  # s/m²
     q_boundary: float  # 1/s
     room: float  # m, kept to the boundaries
-    turn: float  # rad, of the heading against the line
+    turn: float  # rad, the largest heading against the line
     damping: float
     compiled: bool = True
 
@@ -80,13 +82,18 @@ class Plan:
 class Pilot:
     """The controller at work."""
 
-    name = "mpc"
+    name = "MPC"
 
     def __init__(self, settings: Mpc, known: Known) -> None:
         self.settings, self.known = settings, known
         self.corridor = Corridor(known.track)
         weights = Weights(
-            settings.q_sideslip, settings.q_steering, settings.q_drive, settings.q_boundary, settings.room, settings.turn
+            sideslip=settings.q_sideslip,
+            steering=settings.q_steering,
+            drive=settings.q_drive,
+            boundary=settings.q_boundary,
+            room=settings.room,
+            turn=settings.turn,
         )
         vehicle, action = known.vehicle, known.action
         self.horizon = Horizon(
@@ -101,6 +108,11 @@ class Pilot:
         self._plans: list[Plan | None] = []
         self._line: LineFrame | None = None
         self.solved = self.fallbacks = 0
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """Return how many steps were planned, and how often a solver failed."""
+        return {"steps": self.solved, "second_solver": self.qp.handed_over, "fallbacks": self.fallbacks}
 
     def act(self, race: Race) -> Tensor:
         """Return the actions for the cars of a race."""
@@ -214,9 +226,9 @@ class Pilot:
             step = self._lateness / steps
             history = [given[0], *given]  # the newest, which is not known yet, acts later
             delta_ref, drive_ref = delayed(history, self._delays, number * step, step, self.known.timing.dt, TORCH)
-            u = np.array([delta_ref / action.steering_max, (drive_ref - middle(action)) / half_range(action)])
             if action.integrated:
-                y[-1], u[1] = drive_ref, 0.0
+                y[-1] = drive_ref
+            u = np.array(outputs(action, delta_ref, drive_ref, drive_ref, step))
             y = horizon.advance(y[None], u[None], step).after[0]
         if action.integrated:
             y[-1] = given[0][1]
@@ -254,8 +266,4 @@ class Pilot:
         z = y[1:]
         steering = np.arctan(float(self.known.vehicle.wheelbase) * kappa[1]) - GAINS[0] * z[N] - GAINS[1] * z[XI]
         steering -= GAINS[2] * (z[YAW_RATE] - kappa[0] * z[V_X])
-        if action.integrated:
-            drive = (speed - z[-1]) / (h * action.rate_max)
-        else:
-            drive = (speed - middle(action)) / half_range(action)
-        return np.clip([steering / action.steering_max, drive], -1.0, 1.0)
+        return np.clip(outputs(action, steering, speed, z[-1], h), -1.0, 1.0)

@@ -33,6 +33,27 @@ class Action(Protocol):
         """Return the drive reference (N,) of cars that start with wheel speed ω (N,)."""
 
 
+def middle(action: Action) -> float:
+    """Return the middle of the drive reference's range."""
+    return (action.drive_max + action.drive_min) / 2
+
+
+def half_range(action: Action) -> float:
+    """Return half of the drive reference's range."""
+    return (action.drive_max - action.drive_min) / 2
+
+
+def outputs(action: Action, steering: Any, drive: Any, last: Any, dt: float) -> tuple[Any, Any]:
+    """Return the outputs that command a steering and a drive reference after the last drive reference.
+
+    Numbers or tensors (N,); references that are out of reach lie beyond ± 1.
+    """
+    reach = (
+        (drive - last) / (action.rate_max * dt) if action.integrated else (drive - middle(action)) / half_range(action)
+    )
+    return steering / action.steering_max, reach
+
+
 def create_action(settings: Mapping[str, Any]) -> Action:
     """Build the action that `settings["name"]` names."""
     import racerl.env.actions as package

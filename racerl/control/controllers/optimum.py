@@ -1,0 +1,29 @@
+"""The time-optimal lap as a row of its own: nobody drives it, it is the bound under everybody's laps."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from racerl.control.controllers import Known
+from racerl.optimum.optimum import find_optimum, trajectory
+
+PERIOD = 0.01  # s
+LAPS = 2.2  # so that one begins and ends at the line
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """The bound; it has no settings."""
+
+    def lap(self, known: Known) -> pd.DataFrame:
+        """Return the lap, driven over and over, as the table of a log; raise OptimumError where none is found."""
+        solution = find_optimum(known.vehicle, known.track, known.action).solution
+        lap = trajectory(solution).set_index("t")[["x", "y", "yaw", "v_x", "v_y", "yaw_rate", "delta", "omega"]]
+        t = np.arange(0.0, LAPS * solution.time, PERIOD)
+        number, within = np.divmod(t, solution.time)
+        first = lap.iloc[-1:].set_axis([0.0])
+        closed = pd.concat([first.assign(yaw=first["yaw"] - solution.turn), lap])
+        columns = {name: np.interp(within, closed.index, closed[name]) for name in closed}
+        columns["yaw"] = columns["yaw"] + number * solution.turn
+        return pd.DataFrame({"t": t, "run": 0, **columns})

@@ -1,0 +1,108 @@
+"""Pure pursuit of a raceline: the car steers along the arc through a point of the line some way ahead.
+
+With α the angle of that point off the car's axis, a distance d away from the rear axle:  δ = atan(2 L sin α/d). The
+speed is a share of the line's own, a little ahead. A time-optimal line is driven sliding; geometry does not slide, so
+that the share is well below 1.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from racerl import bounds
+from racerl.control.controllers import Known
+from racerl.documents import read_text
+from racerl.env.actions import outputs
+from racerl.env.race import V_X, YAW, Race, X, Y
+from racerl.errors import ConfigError
+from racerl.optimum.optimum import find_optimum, trajectory
+
+SPACING = 0.02  # m
+COLUMNS = {"x": 1, "y": 2, "speed": 5}  # of a TUM raceline
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PurePursuit:
+    """The controller's settings."""
+
+    speed: float  # share of the line's speed
+    ahead: float  # m, to the point that is steered for, and
+    ahead_time: float  # s, more with speed
+    preview: float  # s ahead of the car, where the speed is taken from
+    raceline: str | None = None  # in the TUM format; the time-optimal lap where there is none
+    delay: float = 0.0  # s
+
+    def __post_init__(self) -> None:
+        ranges = {"speed": (0.05, 2.0), "ahead": (0.05, 10.0), "ahead_time": (0.0, 3.0), "preview": (0.0, 3.0)}
+        for name, (low, high) in {**ranges, "delay": (0.0, 0.2)}.items():
+            bounds.number(f"controller.{name}", getattr(self, name), low, high)
+
+    def prepare(self, known: Known) -> "Pursuer":
+        """Return the controller for a car and its track."""
+        if known.action.drive_mode != "wheel_speed":
+            raise ConfigError(
+                f"controller = pure_pursuit: commands wheel speeds, not {known.action.drive_mode}; use sim=default"
+            )
+        return Pursuer(self, known, _read(Path(self.raceline)) if self.raceline else _time_optimal(known))
+
+
+class Pursuer:
+    """The controller at work on a line of x, y in m and speed in m/s, (3, M)."""
+
+    name = "pure pursuit"
+    facts: ClassVar[dict[str, float]] = {}
+
+    def __init__(self, settings: PurePursuit, known: Known, line: Array) -> None:
+        self.settings, self.known = settings, known
+        closed = np.column_stack([line, line[:, :1]])
+        s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(closed[:2])))])
+        count = round(s[-1] / SPACING)
+        even = np.stack([np.interp(np.arange(count) * (s[-1] / count), s, row) for row in closed])
+        self._x, self._y, self._speed = torch.tensor(even, dtype=torch.float32)
+        self._spacing = float(s[-1]) / count
+
+    def act(self, race: Race) -> Tensor:
+        """Return the actions for the cars of a race."""
+        state, _ = race.seen()
+        x, y, yaw, speed = state[X], state[Y], state[YAW], state[V_X].clamp(min=0.0)
+        axle_x, axle_y = (x - self.known.vehicle.l_r * torch.cos(yaw), y - self.known.vehicle.l_r * torch.sin(yaw))
+        nearest = ((x[:, None] - self._x) ** 2 + (y[:, None] - self._y) ** 2).argmin(dim=1)
+        aim = self._after(nearest, self.settings.ahead + self.settings.ahead_time * speed)
+        dx, dy = self._x[aim] - axle_x, self._y[aim] - axle_y
+        off_axis = torch.atan2(dy, dx) - yaw
+        steering = torch.atan2(2.0 * self.known.vehicle.wheelbase * torch.sin(off_axis), torch.hypot(dx, dy))
+        wanted = self.settings.speed * self._speed[self._after(nearest, self.settings.preview * speed)]
+        action = outputs(race.action, steering, wanted, race.command[1], race.timing.dt)
+        return torch.stack(action, dim=1).clamp(-1.0, 1.0)
+
+    def _after(self, index: Tensor, way: Tensor) -> Tensor:
+        """Return the points some way in m after others, round the lap."""
+        found: Tensor = (index + (way / self._spacing).round().long()) % len(self._x)
+        return found
+
+
+def _time_optimal(known: Known) -> Array:
+    lap = trajectory(find_optimum(known.vehicle, known.track, known.action).solution)
+    return np.stack([lap["x"], lap["y"], np.hypot(lap["v_x"], lap["v_y"])])
+
+
+def _read(path: Path) -> Array:
+    """Return x, y and speed of a raceline in the TUM format; raise ConfigError for anything else."""
+    rows = [line for line in read_text(path).splitlines() if line.strip() and not line.startswith("#")]
+    try:
+        table = np.array([[float(cell) for cell in row.split(";")] for row in rows])
+        line = np.stack([table[:, column] for column in COLUMNS.values()])
+    except (ValueError, IndexError) as error:
+        raise ConfigError(
+            f"controller.raceline = {path}: no TUM raceline (s; x; y; psi; kappa; vx; ax): {error}"
+        ) from error
+    if line.shape[1] < 10 or not np.isfinite(line).all() or (line[2] <= 0).any():
+        raise ConfigError(f"controller.raceline = {path}: ten points or more with positive speeds are expected")
+    return line
