@@ -125,6 +125,16 @@ def record(overrides: Overrides = None) -> None:
 
 
 @app.command(context_settings=HYDRA)
+def drive(overrides: Overrides = None) -> None:
+    """Drive the simulated car yourself: racerl drive sim=motor_current out=outputs/drive/first
+
+    Keyboard or gamepad; practice, then a counted session. Groups: car vehicle track sim. Writes log.parquet, and of the
+    counted laps what racerl evaluate writes. Without a display: input=script.
+    """
+    _run("drive", overrides, _drive)
+
+
+@app.command(context_settings=HYDRA)
 def optimum(overrides: Overrides = None) -> None:
     """Find the time-optimal lap: racerl optimum track=l_shape vehicle=f1tenth out=outputs/optimum/first
 
@@ -323,6 +333,21 @@ def _record(settings: "Settings", out: Path) -> None:
         highlight=False,
         soft_wrap=True,
     )
+
+
+def _drive(settings: "Settings", out: Path) -> None:
+    from racerl.drive.drive import LOG, drive
+
+    console = _console()
+    metrics = drive(settings, out)
+    driven = (out / LOG).exists()
+    lines = [f"the drive is in {out / LOG}" if driven else "nothing was driven, nothing is written"]
+    if metrics:
+        _print_metrics(console, metrics)
+        lines.append(f"draw it with: racerl report {out}")
+    elif driven:
+        lines.append("no counted lap was driven, so none is scored")
+    console.print("; ".join(lines), highlight=False, soft_wrap=True)
 
 
 def _identify(settings: "Settings", out: Path) -> None:

@@ -39,6 +39,14 @@ def test_record(tmp_path):
     assert {path.name for path in (tmp_path / "drive").iterdir()} >= {"log.parquet", "vehicle.yaml", "manifest.json"}
 
 
+def test_drive(tmp_path, monkeypatch):
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    done = run("drive", "input=script", "laps=1", "out=first", cwd=tmp_path)
+    assert done.returncode == 0 and done.stderr == "", done.stderr
+    assert "the drive is in first/log.parquet; draw it with: racerl report first" in done.stdout
+    assert {"log.parquet", "metrics.json", "trajectories.parquet"} <= {p.name for p in (tmp_path / "first").iterdir()}
+
+
 def test_data(tmp_path):
     t = [0.01 * i for i in range(500)]
     rows = [f"{x:.2f},{1 + 0.2 * x:.4f},{50 * (1 + 0.2 * x):.4f}" for x in t]

@@ -39,8 +39,13 @@ class Recorder:
         """Keep the row with the command that was held from it on."""
         row["delta_ref"], row[self.drive_name] = command.cpu().numpy()
         self.steps.append(row)
-        self.time = np.where(restarted, 0.0, self.time + self.race.timing.dt)
-        self.run = self.run + restarted
+        self.time = self.time + self.race.timing.dt
+        self.cut(restarted)
+
+    def cut(self, cars: np.ndarray) -> None:
+        """Begin a new run of the masked cars (N,)."""
+        self.time = np.where(cars, 0.0, self.time)
+        self.run = self.run + cars
 
     def log(self) -> pd.DataFrame:
         """Return the drive as one table, run after run."""

@@ -90,6 +90,10 @@ class LapTimer:
             [0 if start is None else len(laps) + 1 for start, laps in zip(self._start, self.laps, strict=True)]
         )
 
+    def elapsed(self) -> Array:
+        """Return the time since each car began its flying lap in s, NaN on the way to the line; shape (N,)."""
+        return np.array([np.nan if start is None else self._time - start for start in self._start])
+
     def fewest(self) -> int:
         """Return the smallest number of laps that any car has driven."""
         return min(len(laps) for laps in self.laps)

@@ -42,11 +42,12 @@ ROW_FIELDS: dict[str, tuple[type, ...]] = {
     "time_s": NUMBER_OR_NONE,
 }
 MAX_ROWS = 20_000_000
+RACED = ("evaluate", "drive")  # stages that leave laps
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """One evaluate run."""
+    """One run of a stage that leaves laps."""
 
     path: Path
     manifest: dict[str, Any]
@@ -91,8 +92,8 @@ def find_subjects(paths: list[Path], outputs: Path) -> list[Subject]:
     around = find_runs(outputs)
     trained = {run.manifest["run_id"]: run for run in (*around, *given) if run.manifest["stage"] == "train"}
     by_finish = sorted(around, key=lambda run: str(run.manifest.get("finished")))
-    newest = {_origin(run): run for run in by_finish if run.manifest["stage"] == "evaluate"}
-    chosen = [run for run in given if run.manifest["stage"] == "evaluate"] if given else list(newest.values())
+    newest = {_origin(run): run for run in by_finish if run.manifest["stage"] in RACED}
+    chosen = [run for run in given if run.manifest["stage"] in RACED] if given else list(newest.values())
     raced = {_origin(run) for run in chosen}
     pairs: list[tuple[RunFolder | None, RunFolder | None]] = [(trained.get(_origin(run)), run) for run in chosen]
     pairs += [
