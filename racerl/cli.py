@@ -341,7 +341,7 @@ def _drive(settings: "Settings", out: Path) -> None:
     console = _console()
     metrics = drive(settings, out)
     driven = (out / LOG).exists()
-    lines = [f"the drive is in {out / LOG}" if driven else "nothing was driven, nothing is written"]
+    lines = [f"the drive is in {out / LOG}" if driven else "nothing was driven"]
     if metrics:
         _print_metrics(console, metrics)
         lines.append(f"draw it with: racerl report {out}")
