@@ -100,7 +100,7 @@ class Horizon:
         self.scale = np.concatenate([[1.0], scales(vehicle, action)])
         self.compiled = compiled
         self._rates = {count: self._rate(count) for count in (1, nodes)}
-        self._residual = self._cost_terms()
+        self._residual = self.cost_terms()
 
     def advance(self, y: Array, u: Array, seconds: float) -> Slopes:
         """Return where states (M, Y) with commands (M, 2) held lead; M is 1 or the number of nodes."""
@@ -136,12 +136,15 @@ class Horizon:
         outside = self.weights.boundary * self.period * self.beyond(path).sum()
         return float(0.5 * (values**2).sum() + outside - (path.y[-1, 0] - path.y[0, 0]))
 
+    def derivative(self, y: Any, u: Any, kappa: Any) -> Any:
+        """Return CasADi's ẏ at a curvature."""
+        speed, rows = motion(self.vehicle, self.action, y[1:], u, kappa)
+        return casadi.vertcat(speed, *rows)
+
     def _rate(self, count: int) -> Callable[[Array, Array, Array], tuple[Array, Array]]:
         """Return (y (M, Y), u (M, 2), D (M, Y, Y + 2)) → ẏ and Ḋ."""
         y, u, kappa = casadi.SX.sym("y", self.states), casadi.SX.sym("u", 2), casadi.SX.sym("k", 2)
-        bend = kappa[0] + kappa[1] * y[0]  # κ about the state's own place, which is y[0] = 0
-        speed, rows = motion(self.vehicle, self.action, y[1:], u, bend)
-        f = casadi.vertcat(speed, *rows)
+        f = self.derivative(y, u, kappa[0] + kappa[1] * y[0])  # κ about the state's own place, which is y[0] = 0
         slopes_of = casadi.densify(casadi.jacobian(f, casadi.vertcat(y, u)).T)
         function = casadi.Function("rate", [y, u, kappa], [f, slopes_of], {"cse": True})
         call = _Call(function.map(count), self.compiled)
@@ -160,7 +163,8 @@ class Horizon:
 
         return rate
 
-    def _cost_terms(self) -> Any:
+    def cost_terms(self) -> Any:
+        """Return the function from y and u of all nodes, a column each, to residuals and their slopes."""
         y, u = casadi.SX.sym("y", self.states), casadi.SX.sym("u", 2)
         z, weights, vehicle = y[1:], self.weights, self.vehicle
         kinematic = casadi.atan(float(vehicle.l_r) / float(vehicle.wheelbase) * casadi.tan(z[DELTA]))

@@ -12,9 +12,10 @@ import torch
 
 from racerl import bounds
 from racerl.assemble import Car, build_action, build_timing, build_track, build_vehicle, use_threads
-from racerl.control.controllers import Known, create_controller
+from racerl.control.controllers import Known, Rival, create_controller
 from racerl.control.controllers.optimum import Optimum
 from racerl.data.log import Log
+from racerl.env.race import Race
 from racerl.evaluate.drive import Recorder, drive
 from racerl.evaluate.evaluate import build_evaluation_race, combine, seeds_of
 from racerl.evaluate.outcome import write_outcome
@@ -36,16 +37,12 @@ def race(
     use_threads(settings["threads"])
     car = construct(Car, settings["car"], "car")
     design = create_controller(settings["controller"])
-    world = combine({**settings, "obs": {"name": "progress"}, "dr": None}, {}, car)
     if isinstance(design, Optimum):
-        return _bound(design, world, settings, out, car.name)
-    vehicle = build_vehicle(world)
-    world["vehicle"] = later(world["vehicle"], design.delay)
-    field = build_evaluation_race(world, seeds, torch.device("cpu"), car.estimate)
-    controller = design.prepare(Known(build_vehicle(settings), field.track, field.action, field.timing))
+        return _bound(design, settings, out, car)
+    field, controller = prepare(settings, car)
     folder = RunFolder.start(out, "evaluate", settings, seed=seeds, threads=settings["threads"])
     recorder = Recorder(field, seeds)
-    problem = problem_hash(vehicle, field.track, field.action)
+    problem = problem_hash(build_vehicle(_world(settings, car)), field.track, field.action)
     driven = drive(field, controller, laps, recorder, lambda fewest: on_lap(fewest, laps))
     metrics = write_outcome(
         folder,
@@ -65,6 +62,20 @@ def race(
     return metrics
 
 
+def prepare(settings: Settings, car: Car) -> tuple[Race, Rival]:
+    """Return the race in a car and the controller that is ready to drive it."""
+    design = create_controller(settings["controller"])
+    world = _world(settings, car)
+    world["vehicle"] = later(world["vehicle"], design.delay)
+    field = build_evaluation_race(world, seeds_of(settings["seeds"]), torch.device("cpu"), car.estimate)
+    return field, design.prepare(Known(build_vehicle(settings), field.track, field.action, field.timing))
+
+
+def _world(settings: Settings, car: Car) -> dict[str, Any]:
+    """Return the settings of the race that is driven in a car."""
+    return combine({**settings, "obs": {"name": "progress"}}, {}, car)
+
+
 def later(vehicle: Settings, delay: float) -> dict[str, Any]:
     """Return the settings of a vehicle whose commands act later than its own by `delay` seconds."""
     effects = {name: dict(effect) for name, effect in (vehicle.get("effects") or {}).items()}
@@ -74,8 +85,9 @@ def later(vehicle: Settings, delay: float) -> dict[str, Any]:
     return {**vehicle, "effects": effects}
 
 
-def _bound(design: Optimum, world: Settings, settings: Settings, out: Path, car: str) -> dict[str, Any]:
+def _bound(design: Optimum, settings: Settings, out: Path, car: Car) -> dict[str, Any]:
     """Score the time-optimal lap of the car itself."""
+    world = _world(settings, car)
     known = Known(build_vehicle(world), build_track(world), build_action(world), build_timing(world))
     log = Log.from_table("optimum", design.lap(known))
     folder = RunFolder.start(out, "evaluate", settings, threads=settings["threads"])
@@ -91,7 +103,7 @@ def _bound(design: Optimum, world: Settings, settings: Settings, out: Path, car:
         only,
         known.track,
         label="time-optimal lap",
-        car=car,
+        car=car.name,
         controller="optimum",
         floor=lap.time_s,
         laps_per_seed=1,

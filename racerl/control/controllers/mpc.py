@@ -146,6 +146,12 @@ class Pilot:
         self._plans[car] = Plan(path, given)
         return self._first(path)
 
+    def plan(self, car: int) -> Path:
+        """Return the path that a car is on, from the state at which its last command acts."""
+        plan = self._plans[car]
+        assert plan is not None  # noqa: S101
+        return plan.path
+
     def improve(self, path: Path, y: Array) -> Path | None:
         """Return the path after one step from a car at y (Y,); None where neither solver finds one."""
         steps = self.qp.solve(self._problem(path, y))
