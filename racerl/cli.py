@@ -67,6 +67,10 @@ Sweeps = Annotated[
     list[str] | None,
     typer.Argument(metavar="SWEEP [GROUP=CHOICE | KEY=VALUE]...", autocompletion=_complete, show_default=False),
 ]
+Controllers = Annotated[
+    list[str] | None,
+    typer.Argument(metavar="[CONTROLLER] [GROUP=CHOICE | KEY=VALUE]...", autocompletion=_complete, show_default=False),
+]
 Logs = Annotated[
     list[str] | None,
     typer.Argument(metavar="LOG... [KEY=VALUE]...", autocompletion=_complete, show_default=False),
@@ -234,6 +238,16 @@ def sweep(arguments: Sweeps = None) -> None:
 
 
 @app.command(context_settings=HYDRA)
+def tune(arguments: Controllers = None) -> None:
+    """Find a controller's numbers by driving the model: racerl tune mpc trials=60
+
+    Writes controller.yaml, which racerl evaluate takes as controller=FILE, and tune.json. Needs racerl[tune].
+    """
+    words = arguments or []
+    _run("tune", [word if "=" in word or word.startswith("-") else f"controller={word}" for word in words], _tune)
+
+
+@app.command(context_settings=HYDRA)
 def bench(arguments: Benchmarks = None) -> None:
     """Measure how fast racerl is on this machine: racerl bench identify
 
@@ -314,6 +328,25 @@ def _race(settings: "Settings", out: Path) -> None:
     from racerl.evaluate.rivals import race
 
     _show_laps(race, settings, out)
+
+
+def _tune(settings: "Settings", out: Path) -> None:
+    from racerl.console import Bar
+    from racerl.tune.tune import CONTROLLER, tune
+
+    console, trials = _console(), settings["trials"]
+    with Bar(console, "tune") as bar:
+        facts = tune(
+            settings, out, lambda done, best: bar.show(done / trials, f"trial {done}: {best:.3f} s per valid lap")
+        )
+    best = facts["best"]
+    lines = [
+        f"{best['seconds_per_valid_lap']:.3f} s per valid lap, {best['valid_laps']} of {best['laps']} valid "
+        f"(first trial: {facts['trials'][0]['seconds_per_valid_lap']:.3f} s)",
+        f"controller in {out / CONTROLLER}; race it with: racerl evaluate controller={out / CONTROLLER}",
+    ]
+    for line in lines:
+        console.print(line, highlight=False, soft_wrap=True, markup=False)
 
 
 def _record(settings: "Settings", out: Path) -> None:

@@ -28,7 +28,7 @@ from racerl.env.adapters.gymnasium import RaceEnv, RaceVectorEnv
 from racerl.errors import ConfigError, DocumentError, suggest
 
 VERSION_BASE = "1.3"
-FILE_GROUPS = {"track": (".csv", ".yaml", ".yml"), "vehicle": (".yaml", ".yml")}
+FILE_GROUPS = {"track": (".csv", ".yaml", ".yml"), "vehicle": (".yaml", ".yml"), "controller": (".yaml", ".yml")}
 VALUED = ("--cfg", "-c", "--info", "-i", "--package", "-p", "--config-dir", "-cd", "--config-name", "-cn")
 OPTIONS = (*VALUED, "--multirun", "-m", "--resolve", "--hydra-help", "--help")
 Settings = dict[str, Any]

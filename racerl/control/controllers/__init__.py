@@ -6,10 +6,12 @@ the action of a policy, seeing what a policy sees.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Protocol
 
 from racerl import registry
 from racerl.control import Controller
+from racerl.documents import read_yaml
 from racerl.env.actions import Action
 from racerl.env.race import Timing
 from racerl.track.track import Track
@@ -46,8 +48,14 @@ class Design(Protocol):
 
 
 def create_controller(settings: Mapping[str, Any]) -> Design:
-    """Build the controller that `settings["name"]` names."""
+    """Build the controller that `settings["name"]` names, or that of the file that `settings["file"]` names."""
     import racerl.control.controllers as package
 
-    design: Design = registry.create(package, settings)
+    design: Design = registry.create(package, read_controller(settings))
     return design
+
+
+def read_controller(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings, with those of `settings["file"]` under them if there is one."""
+    own = {key: value for key, value in settings.items() if key != "file"}
+    return {**read_yaml(Path(settings["file"])), **own} if "file" in settings else own

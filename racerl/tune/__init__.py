@@ -1,0 +1,1 @@
+"""Finding a controller's numbers by driving."""
