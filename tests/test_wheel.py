@@ -37,7 +37,7 @@ def test_a_wheel_carries_its_configurations(tmp_path):
         "report/page.html.j2",
         "report/sweep_part.html.j2",
         "sweeps/ablations.yaml",
-        "report/paper/table1_controllers.csv",
+        "paper/table1_controllers.csv",
         "conf/track/l_shape.csv",
     ):
         assert f"racerl/{page}" in names

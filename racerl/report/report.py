@@ -6,7 +6,7 @@ from typing import Any
 
 from racerl.errors import RunError
 from racerl.optimum.floor import gap
-from racerl.report import paper_values
+from racerl.paper import NAMES, table_1
 from racerl.report.figures import channels, lap_times, learning_curve, racing_line
 from racerl.report.page import figure, write_page
 from racerl.report.subjects import Subject, find_subjects
@@ -96,7 +96,7 @@ def _paper_rows() -> list[dict[str, Any]]:
     return [
         {
             "paper": True,
-            "driver": paper_values.NAMES[row["name"]],
+            "driver": NAMES[row["name"]],
             "car": "real",
             "fastest": _number(row["fastest_valid_lap_s"], 3),
             "mean": _number(row["mean_lap_s"], 3),
@@ -107,7 +107,7 @@ def _paper_rows() -> list[dict[str, Any]]:
             "crashes": "–",
             "valid": "of 20",
         }
-        for row in paper_values.table_1().to_dict("records")
+        for row in table_1().to_dict("records")
     ]
 
 

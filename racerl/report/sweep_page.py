@@ -9,7 +9,7 @@ import pandas as pd
 
 from racerl.documents import read_json
 from racerl.errors import DocumentError, RunError
-from racerl.report import paper_values
+from racerl.paper import NAMES, table_1
 from racerl.report.figures import learning_bands, randomization, transfer, turn_in
 from racerl.report.page import figure, provenance, write_page
 from racerl.run import RunFolder
@@ -192,13 +192,13 @@ def _table_1(found: Findings) -> list[dict[str, str]]:
         )
     theirs = [
         {
-            "driver": f"{paper_values.NAMES[row.name]}, real car",
+            "driver": f"{NAMES[row.name]}, real car",
             "fastest": f"{row.fastest_valid_lap_s:.3f}",
             "mean": f"{row.mean_lap_s:.3f}",
             "std": f"{row.std_lap_s:.2f}",
             "e_off": f"{row.e_off:.5f}",
             "crashes": "–",
         }
-        for row in paper_values.table_1().itertuples(index=False)
+        for row in table_1().itertuples(index=False)
     ]
     return [*rows, *theirs] if rows else []

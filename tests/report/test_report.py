@@ -7,7 +7,6 @@ import shutil
 import pytest
 
 from racerl.errors import RunError
-from racerl.report import paper_values
 from racerl.report.report import report
 from racerl.report.subjects import find_subjects
 
@@ -133,12 +132,3 @@ def test_equal_policies_are_told_apart(raced, tmp_path):
     assert sorted(title.split(":")[0] for title in titles) == ["again", "smoke"]
     page = report({"runs": []}, tmp_path / "report", raced).read_text()
     assert "again: geometric" in page and "smoke: geometric" in page
-
-
-def test_the_papers_values_are_the_papers():
-    table = paper_values.table_1().set_index("name")
-    assert table.loc["rl_geometric", "fastest_valid_lap_s"] == 5.561 and table.loc["mpc", "e_off"] == 0.00083
-    assert set(table.index) == set(paper_values.NAMES)
-    assert set(paper_values.figure_6("speed")) == {"driver", "s_m", "v_x"} and len(
-        paper_values.figure_6("lines", "human")
-    )

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from matplotlib.figure import Figure
 
-from racerl.report import paper_values
+from racerl.paper import figure_6
 from racerl.report.figures.style import PAPER, WIDTH, colour, style, to_svg
 from racerl.report.subjects import Subject
 
@@ -27,9 +27,9 @@ def draw(subjects: Sequence[Subject]) -> str | None:
                 axis.plot(lap["s"], lap[channel], color=colour(i), lw=1.4, label=label)
         if all(evaluation.metrics.get("track") == "l_shape" for _, _, evaluation in raced):
             paper = {"color": PAPER, "lw": 1.0, "ls": ":", "label": "paper, RL on the real car"}
-            line = paper_values.figure_6("speed").sort_values("s_m")
+            line = figure_6("speed").sort_values("s_m")
             speed.plot(line["s_m"], line["v_x"], **paper)
-            line = paper_values.figure_6("steering").sort_values("s_m")
+            line = figure_6("steering").sort_values("s_m")
             steering.plot(line["s_m"], line["delta_rad"], **paper)
         track = raced[0][2].track
         s, x, y = track["s_m"], track["x_m"], track["y_m"]

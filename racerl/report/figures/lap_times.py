@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from racerl.report import paper_values
+from racerl.paper import NAMES, table_1
 from racerl.report.figures.style import PAPER, WIDTH, colour, style, to_svg
 from racerl.report.subjects import Subject
 
@@ -20,8 +20,8 @@ def draw(subjects: Sequence[Subject]) -> str | None:
             laps.append((i, subject.title, times))
     if not laps:
         return None
-    paper = paper_values.table_1()
-    labels = [label for _, label, _ in laps] + [paper_values.NAMES[name] for name in paper["name"]]
+    paper = table_1()
+    labels = [label for _, label, _ in laps] + [NAMES[name] for name in paper["name"]]
     with style():
         figure = Figure(figsize=(WIDTH, 0.8 + 0.42 * len(labels)))
         axis = figure.subplots()

@@ -5,7 +5,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from racerl.report import paper_values
+from racerl.paper import figure_4
 from racerl.report.figures.style import WIDTH, colour, style, to_svg
 
 Array = NDArray[np.float64]
@@ -30,7 +30,7 @@ def draw(learning: pd.DataFrame) -> str | None:
             ours.plot(steps / 1e6, np.mean(rewards, axis=0), color=colour(i), lw=1.4, label=label)
             low, high = np.min(rewards, axis=0), np.max(rewards, axis=0)
             ours.fill_between(steps / 1e6, low, high, color=colour(i), alpha=0.2, lw=0)
-        for i, (name, rows) in enumerate(paper_values.figure_4().groupby("curve")):
+        for i, (name, rows) in enumerate(figure_4().groupby("curve")):
             theirs.plot(
                 rows["million_steps"], rows["reward"], color=colour(i), lw=1.2, label=str(name).replace("_", " ")
             )

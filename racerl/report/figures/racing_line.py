@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from racerl.report import paper_values
+from racerl.paper import figure_6
 from racerl.report.figures.style import PAPER, WIDTH, style, to_svg
 from racerl.report.subjects import Evaluation, Subject
 
@@ -44,7 +44,7 @@ def _panel(axis: Axes, evaluation: Evaluation, limits: tuple[float, float]) -> L
         axis.plot([*x, x.iloc[0]], [*y, y.iloc[0]], color="black", lw=1.0)
     axis.plot(track["x_m"], track["y_m"], color="grey", lw=0.6, ls=(0, (6, 6)), label="centreline")
     if evaluation.metrics.get("track") == "l_shape":
-        paper = paper_values.figure_6("lines")
+        paper = figure_6("lines")
         axis.plot(paper["x_m"], paper["y_m"], color=PAPER, lw=1.0, ls=":", label="paper, RL on the real car")
     points = lap[["x", "y"]].to_numpy()
     segments = np.stack([points[:-1], points[1:]], axis=1)

@@ -7,7 +7,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from racerl.report import paper_values
+from racerl.paper import figure_3
 from racerl.report.figures.style import COLOURS, PAPER, WIDTH, style, to_svg
 
 COLOUR = {"none": COLOURS[5], "friction": COLOURS[0], "all": COLOURS[1]}
@@ -18,7 +18,7 @@ def draw(laps: pd.DataFrame, arms: Sequence[dict[str, Any]], cars: Sequence[str]
     names = [name for name in dict.fromkeys(laps["arm"]) if name.partition("_")[0] in COLOUR]
     if not names:
         return None
-    paper = {_arm(row.randomization, row.sigma): row for row in paper_values.figure_3().itertuples()}
+    paper = {_arm(row.randomization, row.sigma): row for row in figure_3().itertuples()}
     with style():
         figure = Figure(figsize=(WIDTH, 7.2))
         axes = figure.subplots(3, len(cars), sharex=True, sharey="row", squeeze=False)

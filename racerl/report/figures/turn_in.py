@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import pandas as pd
 from matplotlib.figure import Figure
 
-from racerl.report import paper_values
+from racerl.paper import figure_5
 from racerl.report.figures.style import WIDTH, colour, style, to_svg
 
 
@@ -14,7 +14,7 @@ def draw(steering: pd.DataFrame, cars: Sequence[str]) -> str | None:
     if steering.empty:
         return None
     arms = list(dict.fromkeys(steering["arm"]))
-    paper = paper_values.figure_5()
+    paper = figure_5()
     with style():
         figure = Figure(figsize=(WIDTH, 2.2 * (len(cars) + 1)))
         axes = figure.subplots(len(cars) + 1, 1, sharex=True, sharey=True)

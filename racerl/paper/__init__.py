@@ -14,7 +14,7 @@ NAMES = {
 
 
 def _read(name: str) -> pd.DataFrame:
-    with (files("racerl.report") / "paper" / name).open(encoding="utf-8") as stream:
+    with (files("racerl.paper") / name).open(encoding="utf-8") as stream:
         return pd.read_csv(stream)
 
 
