@@ -152,8 +152,14 @@ def report(arguments: Runs = None) -> None:
     """Draw the report: racerl report [RUN...]
 
     Writes one self-contained report.html about the runs and sweeps given, or about all under outputs/.
+
+    racerl report compare A B sets two drivers side by side: evaluate, drive or training runs, paper:rl, paper:human.
     """
-    _run("report", arguments, _report, positional="runs")
+    words = arguments or []
+    if words[:1] == ["compare"]:
+        _run("compare", words[1:], _compare, positional="drivers")
+    else:
+        _run("report", words, _report, positional="runs")
 
 
 @app.command(context_settings=HYDRA)
@@ -622,6 +628,13 @@ def _report(settings: "Settings", out: Path) -> None:
     from racerl.report.report import report
 
     page = report(settings, out)
+    _console().print(f"report in {page}", highlight=False, soft_wrap=True)
+
+
+def _compare(settings: "Settings", out: Path) -> None:
+    from racerl.report.compare import compare
+
+    page = compare(settings, out)
     _console().print(f"report in {page}", highlight=False, soft_wrap=True)
 
 

@@ -33,6 +33,14 @@ def test_train_evaluate_report(tmp_path):
     assert sorted(path.name for path in (tmp_path / "outputs").iterdir()) == ["evaluate", "report", "train"]
 
 
+def test_report_compare(tmp_path):
+    done = run("report", "compare", "paper:rl", "paper:human", "out=duel", cwd=tmp_path)
+    assert done.returncode == 0 and "report in duel/report.html" in done.stdout, done.stderr
+    assert {"compare.svg", "report.html", "manifest.json"} <= {path.name for path in (tmp_path / "duel").iterdir()}
+    done = run("report", "compare", "paper:rl", cwd=tmp_path)
+    assert done.returncode == 2 and "two are compared" in done.stderr and done.stderr.count("\n") == 1
+
+
 def test_record(tmp_path):
     done = run("record", "drive=race", "seconds=2", "out=drive", cwd=tmp_path)
     assert done.returncode == 0 and "200 rows in 1 runs in drive/log.parquet" in done.stdout, done.stderr

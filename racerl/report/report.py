@@ -53,11 +53,11 @@ def report(settings: Mapping[str, Any], out: Path, outputs: Path = Path("outputs
     page = write_page(
         folder.path,
         "page.html.j2",
-        rows=[*map(_row, subjects), *_paper_rows()] if subjects else [],
+        rows=[*map(table_row, subjects), *paper_rows()] if subjects else [],
         figures=figures,
         sweeps=[section(path, folder.path / path.name) for path in swept],
         remarks=_remarks(subjects),
-        provenance=[run for subject in subjects for run in _provenance(subject)],
+        provenance=[run for subject in subjects for run in origins(subject)],
     )
     folder.finish()
     return page
@@ -71,7 +71,8 @@ def _percent(share: float | None) -> str:
     return "–" if share is None else f"{share:+.1%}"
 
 
-def _row(subject: Subject) -> dict[str, Any]:
+def table_row(subject: Subject) -> dict[str, Any]:
+    """Return a driver's row of Table I as text."""
     if subject.evaluation is None:
         blank = dict.fromkeys(("car", "fastest", "mean", "gap", "interval", "std", "e_off", "crashes", "valid"), "–")
         return {"paper": False, "driver": subject.title, **blank}
@@ -92,7 +93,8 @@ def _row(subject: Subject) -> dict[str, Any]:
     }
 
 
-def _paper_rows() -> list[dict[str, Any]]:
+def paper_rows() -> list[dict[str, Any]]:
+    """Return the rows of the paper's Table I as text."""
     return [
         {
             "paper": True,
@@ -130,7 +132,8 @@ def _remarks(subjects: Sequence[Subject]) -> list[str]:
     return remarks
 
 
-def _provenance(subject: Subject) -> list[dict[str, Any]]:
+def origins(subject: Subject) -> list[dict[str, Any]]:
+    """Return where the numbers of a driver come from, a row per run."""
     manifests = [subject.training, subject.evaluation.manifest if subject.evaluation else None]
     return [
         {

@@ -41,6 +41,7 @@ ROW_FIELDS: dict[str, tuple[type, ...]] = {
     "valid": (bool,),
     "time_s": NUMBER_OR_NONE,
 }
+RACED = ("evaluate", "drive")  # stages that leave laps
 MAX_ROWS = 20_000_000
 RACED = ("evaluate", "drive")  # stages that leave laps
 
@@ -56,15 +57,19 @@ class Evaluation:
     track: pd.DataFrame
     floor_s: float | None = None  # the time-optimal lap of the same car, track and limits, where it was found
 
+    def fastest_row(self) -> dict[str, Any] | None:
+        """Return what is noted of the fastest lap, a valid one if there is any; None when no lap was finished."""
+        timed = [row for row in self.metrics["rows"] if row["time_s"] is not None]
+        return min(timed, key=lambda row: (not row["valid"], row["time_s"]), default=None)
+
     def fastest_lap(self, beyond: int = 0) -> pd.DataFrame:
-        """Return the rows of the fastest lap, a valid one if there is any; empty when no lap was finished.
+        """Return the samples of that lap; empty when no lap was finished.
 
         `beyond` adds that many rows of the same run before and after the lap.
         """
-        timed = [row for row in self.metrics["rows"] if row["time_s"] is not None]
-        if not timed:
+        best = self.fastest_row()
+        if best is None:
             return self.drive.iloc[:0]
-        best = min(timed, key=lambda row: (not row["valid"], row["time_s"]))
         rows = np.flatnonzero((self.drive["seed"] == best["seed"]) & (self.drive["lap"] == best["number"]))
         if not len(rows):
             return self.drive.iloc[:0]

@@ -6,6 +6,8 @@ from contextlib import contextmanager
 from typing import Any
 
 import matplotlib as mpl
+import numpy as np
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 WIDTH = 9.0  # inches, page width
@@ -40,5 +42,11 @@ def to_svg(figure: Figure) -> str:
     """Return the figure as SVG text without a date."""
     stream = io.StringIO()
     with style():
+        FigureCanvasSVG(figure)  # becomes the figure's own
+        figure.set_dpi(72)  # as SVG has it
+        figure.draw_without_rendering()  # lays out
+        figure.set_layout_engine("none")
+        for axis in figure.axes:  # the layout's last digit, which names are hashed from, varies from time to time
+            axis.set_position(np.round(axis.get_position(original=True).bounds, 6).tolist())
         figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": "racerl"})
     return stream.getvalue()

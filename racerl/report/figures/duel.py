@@ -1,0 +1,73 @@
+"""The paper's Fig. 6 for any two drivers: lines with marks at equal times, speed, delta time and steering along s."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from racerl.report.figures.style import COLOURS, PAPER, WIDTH, style, to_svg
+from racerl.report.flying_lap import FlyingLap, delta_time
+
+MARKS = 25  # at most, on a lap
+PLACES = 501  # along s
+LOOKS: Sequence[dict[str, Any]] = (  # of A, B and the paper's two laps
+    {"color": COLOURS[0], "lw": 1.6},
+    {"color": COLOURS[1], "lw": 1.6},
+    {"color": PAPER, "lw": 1.0, "ls": ":"},
+    {"color": "#b07d1a", "lw": 1.0, "ls": ":"},
+)
+
+
+def draw(a: FlyingLap, b: FlyingLap, track: pd.DataFrame, paper: Sequence[FlyingLap] = ()) -> str:
+    """Return the SVG of two laps on a track (the table of an evaluation), with the paper's two if they are given."""
+    with style():
+        tall = float(np.clip(8.0 * np.ptp(track["y_m"]) / np.ptp(track["x_m"]), 3.0, 6.2))  # in, of the first panel
+        figure = Figure(figsize=(WIDTH, 6.3 + tall))
+        grid = figure.add_gridspec(4, 1, height_ratios=[tall, 2.1, 2.1, 2.1])
+        _draw_lines(figure.add_subplot(grid[0]), a, b, track)
+        speed = figure.add_subplot(grid[1])
+        delta, steering = (figure.add_subplot(grid[row], sharex=speed) for row in (2, 3))
+        for lap, look in zip((a, b, *paper), LOOKS, strict=False):
+            speed.plot(lap.samples["s"], lap.samples["v_x"], label=lap.driver, **look)
+            steering.plot(lap.samples["s"], lap.samples["delta"], **look)
+        _draw_delta_time(delta, a, b, paper)
+        speed.set(ylabel="(b) v_x [m/s]", xlim=(0.0, a.length))
+        steering.set(ylabel="(d) steering δ [rad]", xlabel="s along the centreline [m]")
+        for axis in (speed, delta):
+            axis.tick_params(labelbottom=False)
+        figure.align_ylabels([speed, delta, steering])
+        figure.legend(*speed.get_legend_handles_labels(), loc="outside upper left", ncols=1, fontsize=9)
+        return to_svg(figure)
+
+
+def _draw_lines(axis: Axes, a: FlyingLap, b: FlyingLap, track: pd.DataFrame) -> None:
+    for side in ("left", "right"):
+        x, y = track[f"{side}_x_m"], track[f"{side}_y_m"]
+        axis.plot([*x, x.iloc[0]], [*y, y.iloc[0]], color="black", lw=1.0)
+    start = track.iloc[0]
+    axis.plot([start["left_x_m"], start["right_x_m"]], [start["left_y_m"], start["right_y_m"]], color="red", lw=1.5)
+    every = 0.5 * np.ceil(2.0 * max(a.time_s, b.time_s) / MARKS)  # s
+    times = every * np.arange(1, MARKS + 1)
+    for lap, look in zip((a, b), LOOKS, strict=False):
+        axis.plot(lap.samples["x"], lap.samples["y"], **look)
+        places = lap.marks(times)
+        axis.plot(*places[::2].T, "o", ms=4, color=look["color"], zorder=3)
+        axis.plot(*places[1::2].T, "o", ms=11, color=look["color"], zorder=3)
+        for time, (x, y) in zip(times[1::2], places[1::2], strict=False):
+            axis.text(x, y, f"{time:g}", color="white", size=7, ha="center", va="center_baseline", zorder=3)
+    axis.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+    axis.set_title(f"(a) marks every {every:g} s, numbers in s since the red line", fontsize=10)
+
+
+def _draw_delta_time(axis: Axes, a: FlyingLap, b: FlyingLap, paper: Sequence[FlyingLap]) -> None:
+    s = np.linspace(0.0, a.length, PLACES)
+    axis.axhline(0.0, color="black", lw=0.6)
+    axis.plot(s, delta_time(a, b, s), color="black", lw=1.6, label="A − B")
+    if paper:
+        rl, human = paper
+        axis.plot(s, delta_time(rl, human, s), label="the paper's: RL − human", **LOOKS[2])
+        axis.legend(fontsize=8)
+    axis.set_ylabel("(c) delta time [s]\nbelow 0: A is ahead")

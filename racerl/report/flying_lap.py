@@ -1,0 +1,54 @@
+"""A driver's fastest lap from line to line, and how two of them compare along the track."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from racerl.report.subjects import Evaluation
+
+Array = NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class FlyingLap:
+    """A finished lap.
+
+    `samples` has t in s and s in m from the line on, x, y, v_x and delta; where they were recorded, one sample before
+    the line and one after the lap are among them.
+    """
+
+    driver: str  # as a legend names it
+    time_s: float
+    length: float  # m, of the centreline
+    samples: pd.DataFrame
+
+    def time_at(self, s: Array) -> Array:
+        """Return the time in s since the line at s (K,) in m, between 0 and the length."""
+        inside = self.samples[self.samples["s"] < self.length]
+        return np.interp(s, [*inside["s"], self.length], [*inside["t"], self.time_s])
+
+    def marks(self, times: Array) -> Array:
+        """Return the places x, y (K, 2) in m at times (K,) in s since the line, as far as the lap goes."""
+        driven = times[times <= min(self.time_s, self.samples["t"].iloc[-1])]
+        return np.stack([np.interp(driven, self.samples["t"], self.samples[axis]) for axis in ("x", "y")], axis=1)
+
+
+def fastest_lap(title: str, evaluation: Evaluation) -> FlyingLap | None:
+    """Return a driver's fastest lap, a valid one if there is any; None when no lap was finished."""
+    row, samples = evaluation.fastest_row(), evaluation.fastest_lap(beyond=1)
+    if row is None or len(samples) < 2:
+        return None
+    length = float(evaluation.track["s_m"].iloc[-1] + evaluation.track["s_m"].iloc[1])
+    s = np.unwrap(samples["s"], period=length)
+    s = np.maximum.accumulate(s - length * np.round(s[0] / length))  # in a hairpin a foot point may step back
+    t = samples["t"] - np.interp(0.0, s, samples["t"])
+    left = "" if row["valid"] else ", left the track"
+    driver = f"{title} ({evaluation.metrics['car']}), {row['time_s']:.3f} s{left}"
+    return FlyingLap(driver, row["time_s"], length, samples[["x", "y", "v_x", "delta"]].assign(s=s, t=t))
+
+
+def delta_time(a: FlyingLap, b: FlyingLap, s: Array) -> Array:
+    """Return by how much a is later than b at s (K,) in m, in s: below 0 a is ahead."""
+    return a.time_at(s) - b.time_at(s)

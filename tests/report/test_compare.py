@@ -1,0 +1,139 @@
+"""Two drivers side by side: delta time, marks, the page, and what cannot be compared."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from racerl.config import run_command
+from racerl.data.log import Log
+from racerl.documents import conf_folder
+from racerl.errors import RacerlError
+from racerl.evaluate.outcome import write_outcome
+from racerl.evaluate.recorded import follow
+from racerl.paper import human_lap, rl_lap
+from racerl.report.compare import Driver, compare
+from racerl.report.flying_lap import FlyingLap, delta_time
+from racerl.run import RunFolder
+from racerl.track.load import read_track
+
+TRACK = read_track(conf_folder() / "track" / "l_shape.csv")
+
+
+@pytest.fixture(scope="module")
+def human() -> FlyingLap:
+    return Driver.find("paper:human", Path("outputs")).lap
+
+
+@pytest.fixture
+def slower(human):
+    """The same lap, driven 10 % slower."""
+    return replace(human, time_s=1.1 * human.time_s, samples=human.samples.assign(t=1.1 * human.samples["t"]))
+
+
+def raced(path, drive, track=TRACK, stage="evaluate", most=None, **facts):
+    """Leave a run folder of a drive that was scored on a track, with at most so many laps."""
+    folder = RunFolder.start(path, stage, {"run": path.name})
+    laps, table = follow(TRACK, [Log.from_table(path.name, drive)])
+    write_outcome(folder, laps[:most], [0], table, track, label=path.name, car="twin", controller="recorded")
+    folder.finish(**facts)
+    return str(path)
+
+
+def test_a_lap_loses_nothing_to_itself(human):
+    s = np.linspace(0.0, human.length, 200)
+    assert not delta_time(human, human, s).any()
+
+
+def test_a_slower_lap_falls_behind_all_the_way_by_its_share(human, slower):
+    s = np.linspace(0.0, human.length, 200)
+    behind = delta_time(slower, human, s)
+    assert behind[0] == pytest.approx(0.0, abs=1e-9) and (np.diff(behind) >= -1e-12).all()
+    assert behind[-1] == pytest.approx(0.1 * human.time_s)
+    np.testing.assert_allclose(behind, -delta_time(human, slower, s))
+    np.testing.assert_allclose(behind, 0.1 * human.time_at(s), atol=1e-9)
+
+
+def test_marks_stand_on_the_line_at_equal_times(human, slower):
+    times = 0.5 * np.arange(1, 30)
+    marks = human.marks(times)
+    assert len(marks) == int(human.time_s / 0.5) and len(slower.marks(times)) == int(1.1 * human.time_s / 0.5)
+    np.testing.assert_allclose(slower.marks(1.1 * times)[:-1], marks[: len(slower.marks(1.1 * times)) - 1], atol=1e-9)
+    line, t = human.samples[["x", "y"]].to_numpy(), human.samples["t"].to_numpy()
+    for time, mark in zip(times, marks, strict=False):
+        after = int(np.searchsorted(t, time))
+        step, way = line[after] - line[after - 1], mark - line[after - 1]
+        assert abs(step[0] * way[1] - step[1] * way[0]) < 1e-9 and 0.0 <= step @ way <= step @ step
+
+
+def test_time_starts_at_the_line_and_ends_with_the_lap(human):
+    assert human.time_at(np.array([0.0, human.length])) == pytest.approx([0.0, human.time_s])
+    assert human.samples["s"].iloc[0] < 0.0 < human.samples["s"].iloc[1] and human.length == pytest.approx(TRACK.length)
+
+
+def test_a_drive_that_ends_with_its_last_step_keeps_its_lap_time(tmp_path, human):
+    run = raced(tmp_path / "whole", human_lap())
+    table = tmp_path / "whole" / "trajectories.parquet"
+    drive = pd.read_parquet(table)
+    drive[drive["lap"] < 2].to_parquet(table)  # a race stops in the step that crosses the line
+    lap = Driver.find(run, tmp_path).lap
+    assert lap.samples["s"].max() < lap.length and lap.time_at(np.array([lap.length])) == pytest.approx(human.time_s)
+
+
+def test_the_page_holds_both_drivers_and_the_papers(tmp_path):
+    runs = [raced(tmp_path / name, lap()) for name, lap in (("fast", rl_lap), ("slow", human_lap))]
+    pages = [compare({"drivers": runs}, tmp_path / out, tmp_path) for out in ("c1", "c2")]
+    page = pages[0].read_text()
+    assert page == pages[1].read_text()  # drawn twice, byte by byte
+    assert not re.search(r'(src|href)="(?!data:)', page) and page.count("data:image/svg+xml;base64,") == 1
+    for value in ("A: fast", "B: slow", "5.559", "5.850", "paper: MPC", "5.847"):
+        assert value in page, value
+    assert (tmp_path / "c1" / "compare.svg").read_text().startswith("<?xml")
+
+
+def test_the_papers_curves_are_left_out_where_they_do_not_belong(tmp_path):
+    other = replace(TRACK, x=TRACK.x + 1.0)
+    pair = [raced(tmp_path / name, human_lap(), other) for name in ("a", "b")]
+    page = compare({"drivers": pair}, tmp_path / "other", tmp_path).read_text()
+    assert "digitised" not in page
+    page = compare({"drivers": ["paper:rl", "paper:human"]}, tmp_path / "theirs", tmp_path).read_text()
+    assert "digitised" in page and "1 of 1" in page
+
+
+def test_a_training_run_stands_for_its_newest_evaluation(tmp_path):
+    training = RunFolder.start(tmp_path / "train" / "policy", "train", {})
+    (training.path / "progress.jsonl").write_text('{"steps": 1}\n')
+    training.finish()
+    with pytest.raises(RacerlError, match="has not been raced; race it with: racerl evaluate"):
+        Driver.find(str(training.path), tmp_path)
+    raced(tmp_path / "evaluate" / "policy", human_lap(), train_run_id=training.manifest["run_id"])
+    assert Driver.find(str(training.path), tmp_path).lap.time_s == pytest.approx(5.850, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    "words, said",
+    [
+        ([], "0 given, two are compared"),
+        (["paper:rl"], "1 given, two are compared"),
+        (["paper:rl"] * 3, "3 given, two are compared"),
+        (["paper:rl", "paper:humn"], "unknown driver 'paper:humn'; did you mean paper:human"),
+        (["paper:rl", "nowhere"], "nowhere: no such run; allowed are finished evaluate, drive or train runs, paper:rl"),
+        (["paper:rl", "empty"], "is no racerl run folder"),
+        (["paper:rl", "report"], "is no run that holds laps"),
+        (["paper:rl", "crashed"], "crashed: finished no lap; race it for more laps"),
+        (["elsewhere", "paper:rl"], "elsewhere, paper:rl: were driven on different tracks"),
+    ],
+)
+def test_what_cannot_be_compared_is_said_in_one_line(words, said, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("empty").mkdir()
+    RunFolder.start(Path("report"), "report", {}).finish()
+    raced(Path("crashed"), human_lap(), most=0)
+    raced(Path("elsewhere"), human_lap(), replace(TRACK, x=TRACK.x + 1.0))
+    with pytest.raises(RacerlError) as error:
+        run_command("compare", [*words, "out=compared"], compare, positional="drivers")
+    assert said in str(error.value) and "\n" not in str(error.value)
+    assert not Path("compared").exists()
