@@ -26,8 +26,8 @@ class FlyingLap:
 
     def time_at(self, s: Array) -> Array:
         """Return the time in s since the line at s (K,) in m, between 0 and the length."""
-        inside = self.samples[self.samples["s"] < self.length]
-        return np.interp(s, [*inside["s"], self.length], [*inside["t"], self.time_s])
+        inside = self.samples[(self.samples["s"] > 0.0) & (self.samples["s"] < self.length)]
+        return np.interp(s, [0.0, *inside["s"], self.length], [0.0, *inside["t"], self.time_s])
 
     def marks(self, times: Array) -> Array:
         """Return the places x, y (K, 2) in m at times (K,) in s since the line, as far as the lap goes."""
@@ -43,7 +43,8 @@ def fastest_lap(title: str, evaluation: Evaluation) -> FlyingLap | None:
     length = float(evaluation.track["s_m"].iloc[-1] + evaluation.track["s_m"].iloc[1])
     s = np.unwrap(samples["s"], period=length)
     s = np.maximum.accumulate(s - length * np.round(s[0] / length))  # in a hairpin a foot point may step back
-    t = samples["t"] - np.interp(0.0, s, samples["t"])
+    first, second = samples["t"].iloc[:2]
+    t = samples["t"] - (first - s[0] * (second - first) / (s[1] - s[0]))  # less the time of the line, by the first two
     left = "" if row["valid"] else ", left the track"
     driver = f"{title} ({evaluation.metrics['car']}), {row['time_s']:.3f} s{left}"
     return FlyingLap(driver, row["time_s"], length, samples[["x", "y", "v_x", "delta"]].assign(s=s, t=t))

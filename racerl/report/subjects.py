@@ -41,7 +41,6 @@ ROW_FIELDS: dict[str, tuple[type, ...]] = {
     "valid": (bool,),
     "time_s": NUMBER_OR_NONE,
 }
-RACED = ("evaluate", "drive")  # stages that leave laps
 MAX_ROWS = 20_000_000
 RACED = ("evaluate", "drive")  # stages that leave laps
 
