@@ -40,10 +40,12 @@ def test_no_file_is_left_out():
         "close.yaml",
         "sweep.yaml",
         "optimum.yaml",
+        "race.yaml",
+        "tune.yaml",
         # composed below, each with its command
         *(
             f"{group}/{path.name}"
-            for group in ("benchmark", "drive", "engine", "method")
+            for group in ("benchmark", "controller", "drive", "engine", "method")
             for path in (CONF / group).glob("*.yaml")
         ),
         "track/file.yaml",
