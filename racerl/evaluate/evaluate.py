@@ -20,6 +20,7 @@ from racerl.evaluate.drive import Recorder, drive
 from racerl.evaluate.outcome import write_outcome
 from racerl.evaluate.recorded import follow, read_recorded
 from racerl.optimum.floor import find_floor, problem_hash
+from racerl.paper import PAPER
 from racerl.registry import construct
 from racerl.run import RunFolder, find_runs
 
@@ -31,7 +32,7 @@ def evaluate(
     settings: Mapping[str, Any], out: Path, on_lap: Callable[[int, int], None] = lambda done, total: None
 ) -> dict[str, Any]:
     """Evaluate the policy, or score the drive log, of `settings["run"]`; return the metrics written into `out`."""
-    if Path(str(settings["run"])).is_file():
+    if Path(str(settings["run"])).is_file() or str(settings["run"]).startswith(PAPER):
         return _evaluate_log(settings, out)
     trained = RunFolder.open_complete(Path(settings["run"]), "train")
     seeds, laps = seeds_of(settings["seeds"]), bounds.whole("laps", settings["laps"], 1, 10_000)
@@ -79,7 +80,7 @@ def _evaluate_log(settings: Mapping[str, Any], out: Path) -> dict[str, Any]:
     folder = RunFolder.start(out, "evaluate", settings)
     driven, drive = follow(track, logs)
     cars = range(1 + max((lap.car for lap in driven), default=0))
-    label = f"log {logs[0].name}"
+    label = logs[0].name if str(settings["run"]).startswith(PAPER) else f"log {logs[0].name}"
     metrics = write_outcome(folder, driven, cars, drive, track, label=label, car="recorded", controller="recorded")
     folder.finish()
     return metrics

@@ -20,14 +20,21 @@ from racerl.data.log import POSE, Log
 from racerl.env.termination import STOP_SPEED, Crash
 from racerl.errors import ConfigError, LogError
 from racerl.evaluate.laps import Lap, LapTimer
+from racerl.paper import PAPER, find_lap
 from racerl.track.frenet import PLACE, FrenetFrame
 from racerl.track.track import Track
 
 
 def read_recorded(settings: Mapping[str, Any]) -> tuple[Track, list[Log]]:
-    """Return the track and the logs of `settings["run"]`; raise ConfigError or LogError for what cannot be scored."""
+    """Return the track and the logs of `settings["run"]`, a file or one of the paper's laps.
+
+    Raises ConfigError or LogError for what cannot be scored.
+    """
     if settings.get("track") is None:
         raise ConfigError(f"{settings['run']}: is a log; say on which track it was driven, for instance track=l_shape")
+    if str(settings["run"]).startswith(PAPER):
+        title, lap = find_lap(str(settings["run"]))
+        return build_track(settings), [Log.from_table(title, lap)]
     logs = load_given({"logs": settings["run"], "data": settings["data"]})
     for log in logs:
         lacking = [channel for channel in (*POSE, "v_x") if channel not in log.channels]

@@ -15,6 +15,8 @@ import numpy as np
 import pandas as pd
 from scipy.interpolate import CubicSpline
 
+from racerl.errors import ConfigError, suggest
+
 SAMPLE = 0.05  # s between the points of Fig. 6
 RATE = 100.0  # Hz, of the drives made from it
 BEYOND = 4  # samples added at either end of a lap
@@ -95,3 +97,15 @@ def _lap(driver: str) -> pd.DataFrame:
             "delta": np.interp(t, drawn, steering),
         }
     )
+
+
+PAPER = "paper:"
+LAPS = {f"{PAPER}rl": ("the paper's RL, Fig. 6", rl_lap), f"{PAPER}human": ("the paper's human, Fig. 6", human_lap)}
+
+
+def find_lap(word: str) -> tuple[str, pd.DataFrame]:
+    """Return title and drive of `paper:rl` or `paper:human`; raise ConfigError for anything else."""
+    if word not in LAPS:
+        raise ConfigError(f"unknown driver '{word}'{suggest(word, LAPS)}")
+    title, lap = LAPS[word]
+    return title, lap()

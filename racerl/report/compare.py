@@ -14,11 +14,11 @@ import pandas as pd
 
 from racerl.data.log import Log
 from racerl.documents import conf_folder
-from racerl.errors import ConfigError, RunError, suggest
+from racerl.errors import ConfigError, RunError
 from racerl.evaluate.laps import rows, score
 from racerl.evaluate.outcome import track_table
 from racerl.evaluate.recorded import follow
-from racerl.paper import human_lap, rl_lap
+from racerl.paper import LAPS, PAPER, find_lap
 from racerl.report.figures import duel
 from racerl.report.flying_lap import FlyingLap, fastest_lap
 from racerl.report.page import figure, write_page
@@ -27,8 +27,7 @@ from racerl.report.subjects import TRACK_COLUMNS, Evaluation, Subject, find_subj
 from racerl.run import RunFolder
 from racerl.track.load import read_track
 
-PAPER = {"paper:rl": ("the paper's RL, Fig. 6", rl_lap), "paper:human": ("the paper's human, Fig. 6", human_lap)}
-ALLOWED = f"finished evaluate, drive or train runs, {', '.join(PAPER)}"
+ALLOWED = f"finished evaluate, drive or train runs, {', '.join(LAPS)}"
 CAPTION = (
     "The fastest lap of either, one that never leaves the track where there is one. Marks stand where the cars are at "
     "equal times since the line. Delta time is A's time at a place less B's: where it falls, A is gaining."
@@ -50,7 +49,7 @@ class Driver:
     @classmethod
     def find(cls, word: str, outputs: Path, title: str = "{}") -> "Driver":
         """Return the driver that a word names, its title put into `title`; raise ConfigError or RunError."""
-        subject = _of_paper(word) if word.startswith("paper:") else _of_run(word, outputs)
+        subject = _of_paper(word) if word.startswith(PAPER) else _of_run(word, outputs)
         subject = replace(subject, title=title.format(subject.title))
         evaluation = subject.evaluation
         if evaluation is None:
@@ -72,8 +71,8 @@ def compare(settings: Mapping[str, Any], out: Path, outputs: Path = Path("output
     a, b = (Driver.find(word, outputs, f"{letter}: {{}}") for letter, word in zip("AB", words, strict=True))
     if not _same(a.track, b.track):
         raise RunError(f"{words[0]}, {words[1]}: were driven on different tracks; race both on one with track=…")
-    theirs = bool(set(words) & set(PAPER))
-    paper = [] if theirs else [Driver.find(word, outputs) for word in PAPER]
+    theirs = bool(set(words) & set(LAPS))
+    paper = [] if theirs else [Driver.find(word, outputs) for word in LAPS]
     paper = [driver for driver in paper if _same(driver.track, a.track)]
     folder = RunFolder.start(out, "compare", settings)
     svg = duel.draw(a.lap, b.lap, a.track, [driver.lap for driver in paper])
@@ -105,11 +104,9 @@ def _of_run(word: str, outputs: Path) -> Subject:
 
 def _of_paper(word: str) -> Subject:
     """Return one of the paper's laps, scored by our clock on the packaged track."""
-    if word not in PAPER:
-        raise ConfigError(f"unknown driver '{word}'{suggest(word, PAPER)}")
-    title, lap = PAPER[word]
+    title, lap = find_lap(word)
     track = read_track(conf_folder() / "track" / "l_shape.csv")
-    laps, drive = follow(track, [Log.from_table(word, lap())])
+    laps, drive = follow(track, [Log.from_table(word, lap)])
     metrics = {**score(laps), "track": track.name, "label": title, "car": "real", "rows": rows(laps, [0])}
     table = pd.read_csv(io.StringIO(track_table(track)))
     return Subject(word, title, None, None, Evaluation(Path(word), {}, metrics, drive, table))

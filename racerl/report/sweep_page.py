@@ -10,13 +10,16 @@ import pandas as pd
 from racerl.documents import read_json
 from racerl.errors import DocumentError, RunError
 from racerl.paper import NAMES, table_1
-from racerl.report.figures import learning_bands, randomization, transfer, turn_in
+from racerl.report.figures import duel, learning_bands, randomization, transfer, turn_in
+from racerl.report.flying_lap import fastest_lap
 from racerl.report.page import figure, provenance, write_page
+from racerl.report.subjects import Evaluation, find_subjects
 from racerl.run import RunFolder
 from racerl.sweep.definition import METRICS
-from racerl.sweep.sweep import LAPS, LEARNING, RESULTS, STEERING
+from racerl.sweep.sweep import LAPS, LEARNING, RESULTS, STEERING, TRAININGS
 
 CURVES = ("track_representation", "action_space")  # sweeps whose arms the paper's Fig. 4 shows
+DRIVERS, DUELS = "controllers", (("rl_geometric", "human"), ("rl_geometric", "mpc"))
 PERCENT = ("crash_share", "valid_share")
 
 
@@ -24,8 +27,10 @@ PERCENT = ("crash_share", "valid_share")
 class Findings:
     """What a sweep wrote."""
 
+    folder: Path
     facts: dict[str, Any]
     laps: pd.DataFrame
+    trainings: pd.DataFrame
     learning: pd.DataFrame
     steering: pd.DataFrame
 
@@ -34,9 +39,11 @@ class Findings:
         """Read the files of a sweep's folder."""
         steering = folder / STEERING
         return cls(
+            folder,
             read_json(folder / RESULTS),
             pd.read_csv(folder / LAPS),
-            pd.read_csv(folder / LEARNING),
+            pd.read_csv(folder / TRAININGS),
+            pd.read_csv(folder / LEARNING) if (folder / LEARNING).is_file() else pd.DataFrame(columns=["sweep"]),
             pd.read_csv(steering) if steering.is_file() else pd.DataFrame(),
         )
 
@@ -108,6 +115,40 @@ def drawn(found: Findings) -> Iterator[tuple[str, str, str, str | None]]:
         transfer.draw(list(_distinct(found.facts["arms"]))),
     )
 
+    for a, b in DUELS:
+        yield (
+            f"{a}_and_{b}",
+            f"{_words(a)} and {_words(b)} (the paper's Fig. 6)",
+            "Their fastest laps, in the twin where they drove it. Marks stand where they are at equal times since the "
+            "line; where delta time falls, the first is gaining.",
+            _duel(found, a, b),
+        )
+
+
+def _duel(found: Findings, a: str, b: str) -> str | None:
+    """Return the figure of two arms' fastest laps; None where one has none, or the drives are not there any more."""
+    evaluations = [_fastest(found, arm) for arm in (a, b)]
+    pairs = zip((a, b), evaluations, strict=True)
+    laps = [lap for arm, raced in pairs if raced and (lap := fastest_lap(_words(arm), raced))]
+    return duel.draw(laps[0], laps[1], evaluations[0].track, []) if len(laps) == 2 and evaluations[0] else None
+
+
+def _fastest(found: Findings, arm: str) -> Evaluation | None:
+    """Return the race with an arm's fastest lap in the last of the cars, a valid one if there is any."""
+    laps = found.laps
+    mine = laps[(laps["sweep"] == DRIVERS) & (laps["arm"] == arm) & (laps["car"] == found.cars[-1])]
+    timed = mine.dropna(subset="time_s").sort_values(["valid", "time_s"], ascending=[False, True])
+    if timed.empty:
+        return None
+    trained = found.trainings
+    rows = trained[(trained["sweep"] == DRIVERS) & (trained["arm"] == arm) & (trained["seed"] == timed["seed"].iloc[0])]
+    run = found.folder / "jobs" / rows["job"].iloc[0] / found.cars[-1]
+    return find_subjects([run], found.folder)[0].evaluation if run.is_dir() else None
+
+
+def _words(arm: str) -> str:
+    return arm.replace("_", " ")
+
 
 def _distinct(arms: Iterable[dict[str, Any]]) -> Iterator[dict[str, Any]]:
     """Yield the arms without those that are another sweep's under a second name."""
@@ -135,11 +176,11 @@ def _table(found: Findings, sweep: dict[str, Any]) -> dict[str, Any]:
     """Return one sweep's arms as rows of text, the metrics that it names in every car."""
     metrics = list(sweep["metrics"])
     rows = [
-        [row["arm"].replace("_", " "), row["car"], str(row["trainings"]), *(_cell(m, row[m]) for m in metrics)]
+        [_words(row["arm"]), row["car"], str(row["trainings"] or "–"), *(_cell(m, row[m]) for m in metrics)]
         for row in found.arms(sweep["sweep"])
     ]
     heads = ["arm", "car", "seeds", *(METRICS[metric] for metric in metrics)]
-    return {"name": sweep["sweep"].replace("_", " "), "question": sweep["question"], "heads": heads, "rows": rows}
+    return {"name": _words(sweep["sweep"]), "question": sweep["question"], "heads": heads, "rows": rows}
 
 
 def _claim(claim: dict[str, Any]) -> dict[str, Any]:
@@ -149,10 +190,10 @@ def _claim(claim: dict[str, Any]) -> dict[str, Any]:
 def _test(test: dict[str, Any]) -> dict[str, str]:
     """Return a test as text: what is compared, the limit, the effect with its interval."""
     if test["slope"]:
-        compared = "slope over " + ", ".join(f"{arm.replace('_', ' ')} at {x:g}" for arm, x in test["slope"].items())
+        compared = "slope over " + ", ".join(f"{_words(arm)} at {x:g}" for arm, x in test["slope"].items())
     else:
-        compared = " ".join(f"{weight:+.3g} {arm.replace('_', ' ')}" for arm, weight in test["weights"].items())
-    over = f", over {test['relative_to'].replace('_', ' ')}'s" if test["relative_to"] else ""
+        compared = " ".join(f"{weight:+.3g} {_words(arm)}" for arm, weight in test["weights"].items())
+    over = f", over {_words(test['relative_to'])}'s" if test["relative_to"] else ""
     (side, limit), metric = next(iter(test["limit"].items())), test["metric"]
     share = bool(test["relative_to"])
     wanted = f"{side} {limit:.3g}" if side != "within" else f"within ± {limit:.3g}"
@@ -173,16 +214,17 @@ def _test(test: dict[str, Any]) -> dict[str, str]:
 def _table_1(found: Findings) -> list[dict[str, str]]:
     """Return the paper's Table I with our rows beside its own; empty without the sweep of controllers."""
     rows = []
-    for row in found.arms("controllers"):
+    for row in found.arms(DRIVERS):
+        recorded = _recorded(found, row["arm"])
+        if recorded and row["car"] != found.cars[0]:
+            continue
         laps = found.laps[
-            (found.laps["sweep"] == "controllers")
-            & (found.laps["arm"] == row["arm"])
-            & (found.laps["car"] == row["car"])
+            (found.laps["sweep"] == DRIVERS) & (found.laps["arm"] == row["arm"]) & (found.laps["car"] == row["car"])
         ]
         deviation = laps["time_s"].std()
         rows.append(
             {
-                "driver": f"{row['arm'].replace('_', ' ')}, {row['car']}",
+                "driver": f"{_words(row['arm'])}, {'recorded' if recorded else row['car']}",
                 "fastest": _cell("fastest", row["fastest"]),
                 "mean": _cell("lap_time", row["lap_time"]),
                 "std": "–" if pd.isna(deviation) else f"{deviation:.3f}",
@@ -202,3 +244,9 @@ def _table_1(found: Findings) -> list[dict[str, str]]:
         for row in table_1().itertuples(index=False)
     ]
     return [*rows, *theirs] if rows else []
+
+
+def _recorded(found: Findings, arm: str) -> bool:
+    """Return whether an arm drove the same laps in every car, as a recorded drive does."""
+    mine = [row for row in found.arms(DRIVERS) if row["arm"] == arm]
+    return len(mine) > 1 and all(row["lap_time"] == mine[0]["lap_time"] for row in mine)

@@ -104,7 +104,6 @@ class Sweep:
     seeds: tuple[int, ...]
     metrics: tuple[str, ...]
     claims: tuple[Claim, ...]
-    awaited: tuple[str, ...] = ()
 
 
 def folder() -> Path:
@@ -134,7 +133,7 @@ def _path(name: str) -> Path:
 
 
 def _sweep(name: str, content: Mapping[str, Any]) -> Sweep:
-    known = ("question", "base", "arms", "seeds", "metrics", "claims", "awaited")
+    known = ("question", "base", "arms", "seeds", "metrics", "claims")
     for key in content:
         if key not in known:
             raise ConfigError(f"sweeps/{name}.yaml: unknown key '{key}'{suggest(str(key), known)}")
@@ -152,13 +151,12 @@ def _sweep(name: str, content: Mapping[str, Any]) -> Sweep:
         seeds=tuple(bounds.wholes("seeds", content["seeds"], 0, 2**31 - 1)),
         metrics=tuple(_words(name, "metrics", content["metrics"])),
         claims=tuple(_claims(name, content.get("claims") or {})),
-        awaited=tuple(_words(name, "awaited", content.get("awaited") or [])),
     )
     for metric in sweep.metrics:
         if metric not in METRICS:
             raise ConfigError(f"sweeps/{name}.yaml: unknown metric '{metric}'{suggest(metric, METRICS)}")
     for claim in sweep.claims:
-        for arm in sorted(set().union(*(test.arms for test in claim.tests)) - {*sweep.arms, *sweep.awaited}):
+        for arm in sorted(set().union(*(test.arms for test in claim.tests)) - set(sweep.arms)):
             raise ConfigError(f"sweeps/{name}.yaml: claim {claim.number}: no arm '{arm}'{suggest(arm, sweep.arms)}")
     return sweep
 

@@ -1,12 +1,28 @@
-"""The jobs of a sweep: one training each, and its races in every car. Arms that train alike share a job."""
+"""The jobs of a sweep: one training each, and its races in every car. Arms that train alike share a job.
+
+Arms whose words name a controller=, a driver's drive= or a drive to be scored, run=, train nothing: one job for all
+seeds.
+"""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from racerl.run import Compose, config_hash, is_complete
 from racerl.sweep.definition import Sweep
+
+UNTRAINED = -1  # stands for the seed of what is not trained
+STAGES = {"controller": "race", "drive": "record", "run": "evaluate"}  # by a word of such arms
+SLOWEST_LAP, LONGEST_RUN = 15.0, 600.0  # s, of a driver that is recorded
+
+
+@dataclass(frozen=True)
+class Race:
+    """One car's race, perhaps of a drive that is recorded first; all are settings."""
+
+    settings: Mapping[str, Any]
+    record: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -15,8 +31,13 @@ class Job:
 
     name: str
     path: Path
-    train: Mapping[str, Any]  # settings
-    races: Mapping[str, Mapping[str, Any]]  # car → settings
+    train: Mapping[str, Any] | None  # settings; None for what is not trained
+    races: Mapping[str, Race]  # by car
+
+    @property
+    def seed(self) -> int:
+        """Seed of the training."""
+        return UNTRAINED if self.train is None else int(self.train["seed"])
 
     @property
     def trained(self) -> Path:
@@ -30,7 +51,8 @@ class Job:
     @property
     def done(self) -> bool:
         """Whether everything is there."""
-        return is_complete(self.trained) and all(is_complete(self.race(car)) for car in self.races)
+        trained = self.train is None or is_complete(self.trained)
+        return trained and all(is_complete(self.race(car)) for car in self.races)
 
 
 @dataclass(frozen=True)
@@ -46,23 +68,51 @@ def plan(sweeps: Sequence[Sweep], settings: Mapping[str, Any], out: Path, compos
     """Return the jobs of some sweeps under `out`; raise ConfigError for arms that cannot be composed."""
     jobs: dict[str, Job] = {}
     of = {}
-    words = [*map(str, settings["words"]), f"threads={settings['threads']}"]
     for sweep in sweeps:
-        for seed in settings["seeds"] or sweep.seeds:
-            for arm, own in sweep.arms.items():
-                train = compose("train", [*sweep.base, *own, *words, f"seed={seed}"])
-                identity = config_hash(train)
+        for arm, words in sweep.arms.items():
+            rival = any(word.partition("=")[0] in STAGES for word in words)
+            for seed in [UNTRAINED] if rival else settings["seeds"] or sweep.seeds:
+                if rival:
+                    job = _rival(arm, words, settings, out, compose)
+                else:
+                    job = _training(arm, [*sweep.base, *words], seed, settings, out, compose)
+                identity = job.path.name.rpartition("-")[2]
                 if identity not in jobs:
-                    path, name = out / "jobs" / f"{arm}-{seed}-{identity[:6]}", f"{arm}-{seed}"
-                    taken = any(job.name == name for job in jobs.values())  # by an arm of another sweep
-                    jobs[identity] = _job(path.name if taken else name, path, train, settings, compose)
+                    taken = any(known.name == job.name for known in jobs.values())  # by an arm of another sweep
+                    jobs[identity] = replace(job, name=job.path.name) if taken else job
                 of[sweep.name, arm, seed] = jobs[identity]
     # seed by seed, so that an interrupted sweep has all arms of the first
-    return Plan(sweeps, sorted(jobs.values(), key=lambda job: int(job.train["seed"])), of)
+    return Plan(sweeps, sorted(jobs.values(), key=lambda job: job.seed), of)
 
 
-def _job(name: str, path: Path, train: dict[str, Any], settings: Mapping[str, Any], compose: Compose) -> Job:
-    run = f"run='{path / 'train'}'"
-    words = [run, f"laps={settings['laps']}", f"seeds={list(settings['starts'])}"]
-    races = {car: compose("evaluate", [*words, f"car={car}", f"out='{path / car}'"]) for car in settings["cars"]}
-    return Job(name, path, {**train, "out": str(path / "train")}, races)
+def _training(
+    arm: str, words: Sequence[str], seed: int, settings: Mapping[str, Any], out: Path, compose: Compose
+) -> Job:
+    own = [*map(str, settings["words"]), f"threads={settings['threads']}", f"seed={seed}"]
+    train = compose("train", [*words, *own])
+    path = out / "jobs" / f"{arm}-{seed}-{config_hash(train)[:6]}"
+    asked = [f"run='{path / 'train'}'", f"laps={settings['laps']}", f"seeds={list(settings['starts'])}"]
+    races = {car: Race(compose("evaluate", [*asked, f"car={car}", f"out='{path / car}'"])) for car in settings["cars"]}
+    return Job(f"{arm}-{seed}", path, {**train, "out": str(path / "train")}, races)
+
+
+def _rival(arm: str, words: Sequence[str], settings: Mapping[str, Any], out: Path, compose: Compose) -> Job:
+    stage = next(STAGES[key] for word in words if (key := word.partition("=")[0]) in STAGES)
+    path = out / "jobs" / f"{arm}-{config_hash(compose(stage, words))[:6]}"
+    laps, starts = settings["laps"], list(settings["starts"])
+    races = {}
+    for car in settings["cars"]:
+        own = [*words, f"car={car}"]
+        if stage == "race":
+            asked = [f"laps={laps}", f"seeds={starts}", f"threads={settings['threads']}", f"out='{path / car}'"]
+            races[car] = Race(compose("race", [*own, *asked]))
+        elif stage == "evaluate":
+            races[car] = Race(compose("evaluate", [*own, f"out='{path / car}'"]))
+        else:
+            block = min(LONGEST_RUN, SLOWEST_LAP * (laps + 1))
+            asked = [f"seconds={block * len(starts)}", f"drive.block={block}", f"out='{path / car}_drive'"]
+            record = compose("record", [*own, *asked])
+            log = Path(record["out"]) / record["file"]
+            score = compose("evaluate", [f"run='{log}'", f"out='{path / car}'"])
+            races[car] = Race({**score, "track": record["track"]}, record)
+    return Job(arm, path, None, races)

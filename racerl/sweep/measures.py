@@ -23,8 +23,8 @@ STEP, REACH = 0.05, 2.0  # m, of the grid that turn-in is looked for on, and how
 COARSE = 0.1  # m, of the grid that steering is kept on
 
 
-def measure(job: Job, cars: Sequence[str]) -> list[dict[str, Any]]:
-    """Return the laps that a finished job drove in every car.
+def measure(job: Job, cars: Sequence[str], most: int) -> list[dict[str, Any]]:
+    """Return the laps that a finished job drove in every car, at most so many of a start.
 
     Raises RunError for folders that are damaged.
     """
@@ -34,6 +34,8 @@ def measure(job: Job, cars: Sequence[str]) -> list[dict[str, Any]]:
             raced = job.race(car)
             leads = turn_ins(pd.read_parquet(raced / TRAJECTORIES), pd.read_csv(raced / TRACK))
             for row in read_json(raced / METRICS)["rows"]:
+                if row["number"] > most:  # a recorded driver does not stop
+                    continue
                 laps.append(
                     {
                         "car": car,
@@ -53,7 +55,9 @@ def measure(job: Job, cars: Sequence[str]) -> list[dict[str, Any]]:
 
 
 def learning(job: Job) -> pd.DataFrame:
-    """Return steps and reward per step over a training, one row per update."""
+    """Return steps and reward per step over a training, one row per update; none where nothing is trained."""
+    if job.train is None:
+        return pd.DataFrame(columns=["steps", "reward"], dtype=float)
     table = read_progress(job.trained).reindex(columns=["steps", "train/reward"])
     return table.rename(columns={"train/reward": "reward"}).dropna().reset_index(drop=True)
 

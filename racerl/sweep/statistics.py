@@ -1,9 +1,9 @@
 """From laps to verdicts: means over seeds, contrasts between arms, intervals by stratified bootstrap.
 
 Trainings (seeds) are drawn with replacement, the same ones for all arms; inside each its starts, the same for all
-arms; inside each start its laps. A metric is taken per training and averaged over them. A claim holds where the 95 %
-interval of every test's contrast lies on the claimed side, is refuted where one lies on the other side, and is
-undecided otherwise.
+arms; inside each start its laps. What is not trained has starts and laps alone. A metric is taken per training and
+averaged over them. A claim holds where the 95 % interval of every test's contrast lies on the claimed side, is refuted
+where one lies on the other side, and is undecided otherwise.
 """
 
 import math
@@ -16,6 +16,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from racerl.sweep.definition import METRICS, Claim, Comparison, Sweep
+from racerl.sweep.jobs import UNTRAINED
 
 Array = NDArray[np.float64]
 RESAMPLES = 1000
@@ -42,7 +43,7 @@ class Samples:
 
 def resample(laps: pd.DataFrame, rewards: pd.DataFrame, generator: np.random.Generator) -> Samples:
     """Return the samples of one sweep in one car, from rows of laps and of trainings."""
-    seeds = sorted(int(seed) for seed in laps["seed"].unique())
+    seeds = sorted({int(seed) for seed in laps["seed"]} - {UNTRAINED}) or [UNTRAINED]
     arms = list(dict.fromkeys(laps["arm"]))
     blocks = {
         key: rows[list(MEASURES)].to_numpy(dtype=float)
@@ -52,26 +53,23 @@ def resample(laps: pd.DataFrame, rewards: pd.DataFrame, generator: np.random.Gen
     reward = {(row.arm, row.seed): row.reward for row in rewards.itertuples()}
 
     def metrics(arm: str, seed: int, drawn: Iterable[int], shuffled: bool) -> dict[str, float]:
-        parts = [blocks[arm, seed, start] for start in drawn if (arm, seed, start) in blocks]
+        own = [start for start in starts if (arm, seed, start) in blocks]  # a bound has one lap
+        parts = [blocks[arm, seed, own[starts.index(start) % len(own)]] for start in drawn]
         if shuffled:
             parts = [part[generator.integers(len(part), size=len(part))] for part in parts]
         return {**_metrics(np.concatenate(parts)), "reward": float(reward.get((arm, seed), math.nan))}
 
-    per_seed = {
-        arm: _table([metrics(arm, seed, starts, False) for seed in seeds if (arm, seed) in reward]) for arm in arms
-    }
+    of = {arm: [seed for seed in (UNTRAINED, *seeds) if (arm, seed) in reward] for arm in arms}
+    per_seed = {arm: _table([metrics(arm, seed, starts, False) for seed in of[arm]]) for arm in arms}
     rows: dict[str, list[dict[str, float]]] = {arm: [] for arm in arms}
     for _ in range(RESAMPLES):
         chosen = generator.choice(seeds, size=len(seeds))
         drawn = [generator.choice(starts, size=len(starts)) for _ in chosen]
         for arm in arms:
-            of = [
-                metrics(arm, int(seed), which.tolist(), True)
-                for seed, which in zip(chosen, drawn, strict=True)
-                if (arm, int(seed)) in reward
-            ]
+            asked = [(UNTRAINED, drawn[0])] if UNTRAINED in of[arm] else list(zip(chosen, drawn, strict=True))
+            found = [metrics(arm, int(seed), which.tolist(), True) for seed, which in asked if int(seed) in of[arm]]
             rows[arm].append(
-                {name: float(np.mean([each[name] for each in of])) if of else math.nan for name in METRICS}
+                {name: float(np.mean([each[name] for each in found])) if found else math.nan for name in METRICS}
             )
     return Samples(seeds, per_seed, {arm: _table(row) for arm, row in rows.items()})
 
@@ -144,5 +142,6 @@ def _test(test: Comparison, sweep: Sweep, samples: Mapping[str, Samples]) -> dic
 
 def contrast(test: Comparison, metrics: Mapping[str, Array]) -> Array:
     """Return the contrast of a test from metrics per arm, elementwise."""
-    total: Array = np.sum([weight * metrics[arm] for arm, weight in test.weights.items()], axis=0)
+    # what is not trained has one value beside those of the seeds
+    total = sum((weight * metrics[arm] for arm, weight in test.weights.items()), np.zeros(1))
     return total / metrics[test.relative_to] if test.relative_to else total

@@ -52,7 +52,8 @@ def sweep(
             raise RunError(f"all {len(failed)} jobs failed, {name}: {words}; what they printed stands in {out / LOGS}")
         facts = summarise(planned, settings, out, failed)
         if not failed and folder.manifest["status"] != "complete":
-            seconds = sum(read_json(job.trained / MANIFEST)["seconds"] for job in planned.jobs)
+            trained = [job.trained for job in planned.jobs if job.train is not None]
+            seconds = sum(read_json(path / MANIFEST)["seconds"] for path in trained)
             folder.finish(jobs=len(planned.jobs), training_seconds=round(seconds, 1))
     return facts
 
@@ -70,7 +71,7 @@ def check(settings: Mapping[str, Any]) -> None:
 def summarise(planned: Plan, settings: Mapping[str, Any], out: Path, failed: Mapping[str, str]) -> dict[str, Any]:
     """Write what the finished jobs came to; return results.json."""
     cars = list(settings["cars"])
-    tables = gather(planned, cars)
+    tables = gather(planned, cars, settings["laps"])
     for name, table in tables.items():
         if not table.empty:
             write_text(out / name, table.to_csv(index=False, float_format="%.6g"))
@@ -83,11 +84,11 @@ def summarise(planned: Plan, settings: Mapping[str, Any], out: Path, failed: Map
     return facts
 
 
-def gather(planned: Plan, cars: Sequence[str]) -> dict[str, pd.DataFrame]:
+def gather(planned: Plan, cars: Sequence[str], laps: int) -> dict[str, pd.DataFrame]:
     """Return the tables of what the finished jobs measured, by file."""
     turning = {sweep.name for sweep in planned.sweeps if "turn_in" in sweep.metrics}
-    measured = {job.name: (measure(job, cars), learning(job)) for job in planned.jobs if job.done}
-    laps: list[dict[str, Any]] = []
+    measured = {job.name: (measure(job, cars, laps), learning(job)) for job in planned.jobs if job.done}
+    rows: list[dict[str, Any]] = []
     trainings: list[dict[str, Any]] = []
     curves, steering = [], []
     for (sweep, arm, seed), job in planned.of.items():
@@ -95,13 +96,13 @@ def gather(planned: Plan, cars: Sequence[str]) -> dict[str, pd.DataFrame]:
             continue
         driven, curve = measured[job.name]
         where = {"sweep": sweep, "arm": arm, "seed": seed}
-        laps += [{**where, **row} for row in driven]
+        rows += [{**where, **row} for row in driven]
         trainings.append({**where, "reward": final_reward(curve), "job": job.path.name})
         curves.append(_thinned(curve).assign(**where))
         if sweep in turning:
             steering += [usual_steering(job, car).assign(**where, car=car) for car in cars]
     return {
-        LAPS: pd.DataFrame(laps),
+        LAPS: pd.DataFrame(rows),
         TRAININGS: pd.DataFrame(trainings),
         LEARNING: pd.concat(curves),
         STEERING: pd.concat(steering) if steering else pd.DataFrame(),
@@ -123,7 +124,7 @@ def results(
                 "sweep": sweep.name,
                 "arm": arm,
                 "car": car,
-                "trainings": len(part.per_seed[arm]["lap_time"]),
+                "trainings": int(trained[trained["arm"] == arm]["reward"].notna().sum()),
                 **_metrics(part, arm),
             }
             for car, part in samples.items()

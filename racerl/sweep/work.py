@@ -13,16 +13,21 @@ from typing import Any
 
 from racerl.documents import write_json
 from racerl.evaluate.evaluate import evaluate
+from racerl.evaluate.rivals import race
+from racerl.record.record import record
 from racerl.run import is_complete
-from racerl.sweep.jobs import Job
+from racerl.sweep.jobs import Job, Race
 from racerl.train.session import Progress
 from racerl.train.train import train
 
 STATE, LOCK = "state.json", ".lock"
+TRAINING = 0.95  # share of a job
 PERIOD = 1.0  # s between looks at the sweep, and at most between words about the state
 
 
-def work(name: str, path: str, settings: Mapping[str, Any], races: Mapping[str, Any], owner: str | None) -> None:
+def work(
+    name: str, path: str, settings: Mapping[str, Any] | None, races: Mapping[str, Race], owner: str | None
+) -> None:
     """Finish a job in its folder, from wherever an earlier process left it.
 
     `owner` is the file that the sweep keeps locked while it lives; None where jobs outlive it.
@@ -50,16 +55,18 @@ def _finish(job: Job) -> None:
     def training(progress: Progress) -> None:
         rate = progress.steps_per_s
         left = (progress.total_steps - progress.steps) / rate if rate else None
-        tell(
-            0.95 * progress.steps / progress.total_steps, "training", rate, progress.evaluation.get("mean_lap_s"), left
-        )
+        share = TRAINING * progress.steps / progress.total_steps
+        tell(share, "training", rate, progress.evaluation.get("mean_lap_s"), left)
 
-    if not is_complete(job.trained):
+    if job.train is not None and not is_complete(job.trained):
         train(job.train, job.trained, training)
-    for i, (car, settings) in enumerate(job.races.items()):
-        tell(0.95 + 0.05 * i / len(job.races), f"racing ({car})")
+    before = 0.0 if job.train is None else TRAINING
+    for i, (car, asked) in enumerate(job.races.items()):
+        tell(before + (1.0 - before) * i / len(job.races), f"racing ({car})")
+        if asked.record is not None and not is_complete(Path(asked.record["out"])):
+            record(asked.record, Path(asked.record["out"]))
         if not is_complete(job.race(car)):
-            evaluate(settings, job.race(car))
+            (race if "controller" in asked.settings else evaluate)(asked.settings, job.race(car))
     tell(1.0, "done")
 
 
