@@ -29,6 +29,7 @@ from racerl.vehicle.ops import TORCH
 from racerl.vehicle.vehicle import COMMAND, GRAVITY, STATE
 
 FIRST_STEPS = 10  # from the first plan
+LARGEST_STEP = 1.0  # of any state, in its scale; a longer one is cut short, for the linearisation does not reach so far
 SLACK = 1e-3  # curvature of the cost in the slack, which keeps the problem strictly convex
 # of the drive along the line, where there is no plan: grip used, speeds in m/s, gains of n in rad/m, of ξ, of r in s
 GRIP, SLOWEST, FASTEST = 0.25, 0.8, 3.0
@@ -158,8 +159,10 @@ class Pilot:
         if steps is None:
             return None
         states = self.horizon.states
-        moved = path.y + steps[:, :states] * self.horizon.scale
-        return Path(moved, np.clip(path.u + steps[:-1, states:-1], -1.0, 1.0))
+        share = min(1.0, LARGEST_STEP / max(np.abs(steps[1:, :states]).max(), 1e-9))
+        moved = path.y + share * steps[:, :states] * self.horizon.scale
+        moved[0] = y
+        return Path(moved, np.clip(path.u + share * steps[:-1, states:-1], -1.0, 1.0))
 
     def along_line(self, y: Array) -> Path:
         """Return a slow drive along the line from y (Y,), as the model does it."""
