@@ -81,7 +81,7 @@ class StageQp:
         first = p.gradient[0] + p.hessian[0][:, :Y] @ p.given
         gap = p.gap.copy()
         gap[0] += p.by_state[0] @ p.given
-        nothing, most = np.full((self.nodes - 1, ROWS), WIDEST), -gap
+        nothing, most = np.maximum(p.least, 0.0) + WIDEST, -gap
         equal = most[:1].ravel()
         low = np.concatenate([most[1:], p.least], axis=1).ravel()
         high = np.concatenate([most[1:], nothing], axis=1).ravel()

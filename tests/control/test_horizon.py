@@ -163,6 +163,17 @@ def test_steps_are_those_of_another_solver(seed):
     assert np.abs(steps - dense_solution(problem)).max() < 1e-3
 
 
+def test_a_car_far_beyond_every_limit_has_a_problem_still():
+    problem = small_problem(np.random.default_rng(0))
+    far = Problem(**{**problem.__dict__, "rows": np.zeros_like(problem.rows), "least": np.full((4, ROWS), 41.0)})
+    assert StageQp(5, 3, 2).solve(far) is None  # told, not raised
+    slack = far.rows.copy()
+    slack[:, :, -1] = 1.0
+    high = problem.high.copy()
+    high[:, -1] = np.inf
+    assert StageQp(5, 3, 2).solve(Problem(**{**far.__dict__, "rows": slack * 10.0, "high": high})) is not None
+
+
 def test_where_one_solver_fails_the_other_takes_over(monkeypatch):
     problem, qp = small_problem(np.random.default_rng(0)), StageQp(5, 3, 2)
     first = qp.solve(problem)

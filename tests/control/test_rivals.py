@@ -83,7 +83,7 @@ def test_pure_pursuit_laps_cleanly_on_the_optimum_and_on_a_line_of_ones_own(tmp_
     line.write_text("# s_m; x_m; y_m; psi_rad; kappa_radpm; vx_mps; ax_mps2\n" + "\n".join(rows))
     field, pursuer = ready("controller=pure_pursuit", f"controller.raceline={line}", "controller.speed=1.0")
     slow = score(drive(field, pursuer, 1))
-    assert slow["valid_laps"] == 1 and slow["mean_lap_s"] == pytest.approx(track.length / 1.4, rel=0.05)
+    assert slow["valid_laps"] == 1 and slow["mean_lap_s"] == pytest.approx(track.length / 1.4, rel=0.08)
     line.write_text("x,y\n1,2\n")
     with pytest.raises(ConfigError, match="no TUM raceline"):
         ready("controller=pure_pursuit", f"controller.raceline={line}")
