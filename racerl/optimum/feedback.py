@@ -48,8 +48,10 @@ def regulate(
     known = np.concatenate([[0.0], solution.stretch.s])
     table = np.column_stack([solution.states[:, -1], solution.states])
     lap = np.stack([np.interp(s, known, row) for row in table])
-    interval = np.minimum((s / length * len(solution.durations)).astype(int), len(solution.durations) - 1)
-    acted = _rescaled(solution, action)[:, interval]
+    # an action is held for a period: the lap's own in the middle of it
+    now = np.interp(s, length * np.arange(len(solution.ends)) / len(solution.durations), solution.ends)
+    interval = np.searchsorted(solution.ends, np.mod(now + dt / 2, solution.time), side="right") - 1
+    acted = _rescaled(solution, action)[:, np.minimum(interval, len(solution.durations) - 1)]
 
     then, to_states, to_actions = _driven_on(solution, action, corridor, dt, substeps)(s, lap, acted)
     rows = 1 + len(lap)

@@ -103,7 +103,7 @@ def gather(planned: Plan, cars: Sequence[str], laps: int) -> dict[str, pd.DataFr
             steering += [usual_steering(job, car).assign(**where, car=car) for car in cars]
     return {
         LAPS: pd.DataFrame(rows),
-        TRAININGS: pd.DataFrame(trainings),
+        TRAININGS: pd.DataFrame(trainings).astype({"reward": float}),  # of what is not trained, none
         LEARNING: pd.concat(curves),
         STEERING: pd.concat(steering) if steering else pd.DataFrame(),
     }

@@ -1,0 +1,81 @@
+"""Arms that train nothing: one job for all seeds, rows beside those of policies, and the pages that show them."""
+
+import dataclasses
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from racerl.assemble import build_track
+from racerl.config import compose_settings
+from racerl.sweep.definition import METRICS, Comparison, read_sweeps
+from racerl.sweep.jobs import UNTRAINED, plan
+from racerl.sweep.statistics import MEASURES, contrast, resample
+from racerl.sweep.sweep import LAPS, TRAININGS, gather, results
+from racerl.sweep.work import work
+
+SETTINGS = {"words": [], "threads": 1, "seeds": [], "laps": 1, "starts": [0, 1], "cars": ["model", "twin"]}
+
+
+@pytest.fixture(scope="module")
+def planned(tmp_path_factory):
+    """A finished sweep of rivals alone."""
+    out = tmp_path_factory.mktemp("rivals")
+    track = build_track(compose_settings("train"))
+    line = out / "line.csv"
+    line.write_text("\n".join(f"0; {x}; {y}; 0; 0; 1.5; 0" for x, y in zip(track.x, track.y, strict=True)))
+    arms = {
+        "pursuit": ("controller=pure_pursuit", f"controller.raceline={line}"),
+        "human": ("run=paper:human", "track=l_shape"),
+        "human_like": ("drive=human_like",),
+    }
+    sweep = dataclasses.replace(read_sweeps("controllers")[0], arms=arms, claims=(), seeds=(0, 1))
+    made = plan([sweep], SETTINGS, out, compose_settings)
+    for job in made.jobs:
+        work(job.name, str(job.path), job.train, job.races, None)
+    return made
+
+
+def test_there_is_one_job_for_all_seeds(planned):
+    assert sorted(job.name for job in planned.jobs) == ["human", "human_like", "pursuit"]
+    assert all(job.done and job.train is None for job in planned.jobs)
+    assert {seed for _, _, seed in planned.of} == {UNTRAINED}
+
+
+def test_their_laps_stand_beside_those_of_policies(planned):
+    tables = gather(planned, SETTINGS["cars"], SETTINGS["laps"])
+    laps = tables[LAPS]
+    assert laps["number"].max() == 1  # a recorded driver goes on, what counts ends
+    human = laps[laps["arm"] == "human"]
+    assert len(human) == 2 and human["time_s"].nunique() == 1  # the same in both cars
+    assert len(laps[(laps["arm"] == "human_like") & (laps["car"] == "twin")]) == 2  # a run for every start
+    facts = results(planned.sweeps, SETTINGS["cars"], laps, tables[TRAININGS])
+    rows = {(row["arm"], row["car"]): row for row in facts["arms"]}
+    assert len(rows) == 6 and all(row["trainings"] == 0 for row in rows.values())
+    assert rows["human", "model"]["lap_time"]["value"] == pytest.approx(5.85, abs=0.01)
+    assert rows["human", "model"]["reward"]["value"] is None
+    assert rows["pursuit", "twin"]["lap_time"] != rows["pursuit", "model"]["lap_time"]
+
+
+def rows_of(arm, seed, times):
+    measures = dict.fromkeys(MEASURES, 0.0) | {"valid": True, "crashed": False, "turn_in_m": np.nan}
+    return [{"arm": arm, "seed": seed, "start": 0, **measures, "time_s": time} for time in times]
+
+
+def test_seeds_of_policies_do_not_narrow_the_interval_of_what_is_not_trained():
+    spread_out = [5.0, 6.0, 7.0, 8.0]
+    laps = pd.DataFrame(
+        rows_of("rival", UNTRAINED, spread_out)
+        + [row for seed in range(8) for row in rows_of("policy", seed, [5.0 + seed / 10] * 4)]
+    )
+    rewards = pd.DataFrame({"arm": ["rival"] + ["policy"] * 8, "seed": [UNTRAINED, *range(8)], "reward": np.nan})
+    samples = resample(laps, rewards, np.random.default_rng(0))
+    assert len(samples.per_seed["rival"]["lap_time"]) == 1 and len(samples.per_seed["policy"]["lap_time"]) == 8
+    # four laps drawn from four: a standard deviation of √1.25/2
+    assert samples.resampled["rival"]["lap_time"].std() == pytest.approx(np.sqrt(1.25) / 2, rel=0.1)
+    difference = contrast(
+        Comparison("lap_time", {"policy": 1.0, "rival": -1.0}, below=0.0),
+        {arm: samples.per_seed[arm]["lap_time"] for arm in ("policy", "rival")},
+    )
+    assert np.allclose(difference, 5.0 + np.arange(8) / 10 - 6.5)
+    assert set(METRICS) == set(samples.per_seed["rival"])
