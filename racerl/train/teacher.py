@@ -15,7 +15,7 @@ from racerl.optimum.corridor import Corridor
 from racerl.optimum.feedback import PLACES, Feedback, regulate
 from racerl.optimum.ladder import find_ladder
 
-HELD, CLIMBED = 1.0, 4.0  # Σ (e/b)² below which a lap is held, and the next one tried
+HELD, CLIMBED = 1.0, 8.0  # Σ (e/b)² below which a lap is held, and the next one tried
 BASIN = 3.0  # of the tolerances of place and heading
 BASIN_SPEED = 2.0  # of those of speeds
 START_SPREAD = 1.0  # standard deviation of starts on the fastest lap, of the tolerances
