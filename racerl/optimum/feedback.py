@@ -40,17 +40,19 @@ class Feedback:
 
 
 def regulate(
-    solution: Solution, action: Action, corridor: Corridor, width: float, dt: float, substeps: int
+    solution: Solution, action: Action, corridor: Corridor, width: float, dt: float, substeps: int, ahead: float = 0.0
 ) -> Feedback:
-    """Return the feedback about a lap for a policy that acts every dt seconds; `width` is the half-width in m."""
+    """Return the feedback about a lap for a policy that acts every dt seconds; `width` is the half-width in m.
+
+    Actions are those that the lap has `ahead` seconds further on.
+    """
     length = corridor.length
     s = np.arange(PLACES) * (length / PLACES)
     known = np.concatenate([[0.0], solution.stretch.s])
     table = np.column_stack([solution.states[:, -1], solution.states])
     lap = np.stack([np.interp(s, known, row) for row in table])
-    # an action is held for a period: the lap's own in the middle of it
     now = np.interp(s, length * np.arange(len(solution.ends)) / len(solution.durations), solution.ends)
-    interval = np.searchsorted(solution.ends, np.mod(now + dt / 2, solution.time), side="right") - 1
+    interval = np.searchsorted(solution.ends, np.mod(now + ahead, solution.time), side="right") - 1
     acted = _rescaled(solution, action)[:, np.minimum(interval, len(solution.durations) - 1)]
 
     then, to_states, to_actions = _driven_on(solution, action, corridor, dt, substeps)(s, lap, acted)

@@ -15,7 +15,7 @@ from racerl.optimum.corridor import Corridor
 from racerl.optimum.feedback import PLACES, Feedback, regulate
 from racerl.optimum.ladder import find_ladder
 
-HELD, CLIMBED = 1.0, 8.0  # Σ (e/b)² below which a lap is held, and the next one tried
+HELD, CLIMBED = 1.0, 4.0  # Σ (e/b)² below which a lap is held, and the next one tried
 BASIN = 3.0  # of the tolerances of place and heading
 BASIN_SPEED = 2.0  # of those of speeds
 START_SPREAD = 1.0  # standard deviation of starts on the fastest lap, of the tolerances
@@ -29,7 +29,13 @@ class Teacher:
         width = float((race.track.width_left + race.track.width_right).min() / 2)
         self.laps = find_ladder(race.vehicle, race.track, race.action, corridor)
         timing = race.timing
-        rungs = [regulate(lap, race.action, corridor, width, timing.dt, timing.substeps) for lap in self.laps]
+        # an action is held for a period, and the top lap's is taken from the middle of it; below, cars are caught
+        # better without (of 128 random starts 9 leave the track instead of 38)
+        ahead = [0.0] * (len(self.laps) - 1) + [timing.dt / 2]
+        rungs = [
+            regulate(lap, race.action, corridor, width, timing.dt, timing.substeps, early)
+            for lap, early in zip(self.laps, ahead, strict=True)
+        ]
         self.line = LineFrame(corridor, race)
 
         def table(values: list[np.ndarray]) -> Tensor:
