@@ -249,4 +249,5 @@ def _table_1(found: Findings) -> list[dict[str, str]]:
 def _recorded(found: Findings, arm: str) -> bool:
     """Return whether an arm drove the same laps in every car, as a recorded drive does."""
     mine = [row for row in found.arms(DRIVERS) if row["arm"] == arm]
-    return len(mine) > 1 and all(row["lap_time"] == mine[0]["lap_time"] for row in mine)
+    same = all(row["lap_time"] == mine[0]["lap_time"] for row in mine)
+    return same and len(mine) > 1 and mine[0]["trainings"] == 0 and mine[0]["lap_time"]["value"] is not None

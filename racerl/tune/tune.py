@@ -1,6 +1,6 @@
-"""The tune stage: looks for the numbers with which a controller laps fastest, on the model and its randomization.
+"""The tune stage: looks for the numbers with which a controller laps fastest on the model, or on a randomization of it.
 
-Every trial drives the same starts, each in a car of its own draw. What is minimised is the time driven per valid lap,
+Every trial drives the same starts. What is minimised is the time driven per valid lap,
 with `CRASH` seconds for a lap that ends in a crash: a lap off the track costs its time and counts for nothing. The
 first trial has the numbers that the controller comes with, so that what is found is never worse on these starts. Writes
 `controller.yaml`, which is taken as controller=FILE, and `tune.json`.
