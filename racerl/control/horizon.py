@@ -36,7 +36,7 @@ class Weights:
     sideslip: float  # q_β, 1/(rad² s)
     steering: float  # q_δ, 1/(rad² s)
     drive: float  # q_ω, s/m²
-    boundary: float  # q_n, 1/s
+    boundary: float  # q_n, 1/(m s)
     room: float  # m
     turn: float  # rad, the largest |ξ|
 
@@ -73,7 +73,7 @@ class Table:
 
     def at(self, s: Array) -> Array:
         """Return curvature, least and greatest n, and the slopes of the three, (6, M), at s (M,)."""
-        place = np.mod(s, self.length) / self._spacing
+        place = np.nan_to_num(np.mod(s, self.length) / self._spacing)  # what is not finite shows in the states
         cell = np.minimum(place.astype(np.int64), len(self._rows) - 1)
         share = (place - cell)[:, None]
         found: Array = (self._rows[cell] * (1.0 - share) + self._next[cell] * share).T
@@ -172,9 +172,8 @@ class Horizon:
             (weights.sideslip, kinematic - casadi.atan2(z[V_Y], z[V_X])),
             (weights.steering, u[0] * self.action.steering_max - z[DELTA]),
         ]
-        if self.action.drive_mode == "wheel_speed":
-            held = middle(self.action) + half_range(self.action) * u[1]
-            terms.append((weights.drive, (z[-1] if self.action.integrated else held) - z[OMEGA]))
+        held = middle(self.action) + half_range(self.action) * u[1]
+        terms.append((weights.drive, (z[-1] if self.action.integrated else held) - z[OMEGA]))
         r = casadi.vertcat(*(np.sqrt(2 * self.period * weight) * term for weight, term in terms))
         slopes = casadi.jacobian(r, casadi.vertcat(y, u))
         return casadi.Function("residuals", [y, u], [r, casadi.densify(slopes)]).map(self.nodes)

@@ -4,7 +4,7 @@ Over steps w_k = (Δy_k, Δu_k, e_k) of states, commands and slack, with Δy_0 g
 
     min Σ ½ w_kᵀH_k w_k + g_kᵀw_k,   Δy_{k+1} = A_k Δy_k + B_k Δu_k + c_k,   C_k w_k ≥ d_k,   low_k ≤ w_k ≤ high_k
 
-HPIPM solves it with a Riccati recursion; OSQP where that fails.
+HPIPM solves it with a Riccati recursion; OSQP where that fails. Bounds wider than ± `WIDEST` are taken as that.
 """
 
 from dataclasses import dataclass
@@ -60,13 +60,14 @@ class StageQp:
 
     def solve(self, problem: Problem) -> Array | None:
         """Return the steps (K + 1, M), or None when neither solver finds them."""
-        if not all(np.isfinite(part).all() for part in (problem.hessian, problem.by_state, problem.gap)):
+        numbers = (problem.hessian, problem.gradient, problem.by_state, problem.by_command, problem.gap, problem.least)
+        if not all(np.isfinite(part).all() for part in (*numbers, problem.given)):
             return None
-        numbers = self._numbers(problem)
-        found = self._hpipm(**numbers)
+        given = self._numbers(problem)
+        found = self._hpipm(**given)
         if not self._hpipm.stats()["success"]:
             self.handed_over += 1
-            found = self._osqp(**numbers)
+            found = self._osqp(**given)
             if not self._osqp.stats()["success"]:
                 return None
         steps = np.zeros((self.nodes + 1, self.states + self.inputs))

@@ -68,4 +68,4 @@ class MotorCurrent:
 
     def adjust(self, steps: int) -> None:
         """Change the limit inside STEP … the motor's."""
-        self.limit = min(max(self.limit + steps * STEP, STEP), self.greatest)
+        self.limit = min(max(self.limit + steps * STEP, min(STEP, self.limit)), self.greatest)

@@ -74,6 +74,7 @@ class Seat:
             self.leave()
         elif request is Request.START and session.phase is Phase.PRACTICE:
             session.count(float(self.race.travelled))
+            self.put_back = False  # asked for before the session, it would cost its first lap
             self.recorder.cut(np.array([bool(self.recorder.steps)]))
         elif request is Request.PAUSE:
             session.paused = not session.paused

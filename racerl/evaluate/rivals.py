@@ -73,12 +73,12 @@ def prepare(settings: Settings, car: Car) -> tuple[Race, Rival]:
 
 def _world(settings: Settings, car: Car) -> dict[str, Any]:
     """Return the settings of the race that is driven in a car."""
-    return combine({**settings, "obs": {"name": "progress"}}, {}, car)
+    return combine({**settings, "obs": {"name": "progress"}}, {"sim": settings["sim"]}, car)
 
 
 def later(vehicle: Settings, delay: float) -> dict[str, Any]:
     """Return the settings of a vehicle whose commands act later than its own by `delay` seconds."""
-    effects = {name: dict(effect) for name, effect in (vehicle.get("effects") or {}).items()}
+    effects = {name: dict(effect or {}) for name, effect in (vehicle.get("effects") or {}).items()}
     if delay:
         for name in COMMANDS:
             effects[name] = {"delay": effects.get(name, {}).get("delay", 0.0) + delay}

@@ -119,8 +119,8 @@ def drawn(found: Findings) -> Iterator[tuple[str, str, str, str | None]]:
         yield (
             f"{a}_and_{b}",
             f"{_words(a)} and {_words(b)} (the paper's Fig. 6)",
-            "Their fastest laps, in the twin where they drove it. Marks stand where they are at equal times since the "
-            "line; where delta time falls, the first is gaining.",
+            f"Their fastest laps ({found.cars[-1]}, recorded drives as they are). Marks stand where they are at equal "
+            "times since the line; where delta time falls, the first is gaining.",
             _duel(found, a, b),
         )
 
@@ -168,7 +168,8 @@ def _number(metric: str, value: float | None) -> str:
 
 def _cell(metric: str, found: dict[str, Any]) -> str:
     low_high = found["ci95"]
-    between = f" ({_number(metric, low_high[0])} … {_number(metric, low_high[1])})" if low_high else ""
+    told = low_high and low_high[0] < low_high[1]  # a single lap has no interval
+    between = f" ({_number(metric, low_high[0])} … {_number(metric, low_high[1])})" if told else ""
     return _number(metric, found["value"]) + between
 
 
@@ -203,6 +204,8 @@ def _test(test: dict[str, Any]) -> dict[str, str]:
         low, high = test["ci95"]
         values = [f"{value:+.1%}" if share else f"{value:+.4g}" for value in (test["effect"], low, high)]
         said = f"{values[0]} ({values[1]} … {values[2]}), {test['agreeing']} of {test['seeds']} seeds agree"
+        if one := test.get("one_lap"):
+            said += f"; {', '.join(map(_words, one))}: one lap, taken as exact"
     return {
         "what": f"{METRICS[metric]}{'' if metric == 'reward' else ' in the ' + test['car']}: {compared}{over}",
         "wanted": wanted,
@@ -249,5 +252,5 @@ def _table_1(found: Findings) -> list[dict[str, str]]:
 def _recorded(found: Findings, arm: str) -> bool:
     """Return whether an arm drove the same laps in every car, as a recorded drive does."""
     mine = [row for row in found.arms(DRIVERS) if row["arm"] == arm]
-    same = all(row["lap_time"] == mine[0]["lap_time"] for row in mine)
+    same = all(row["lap_time"]["value"] == mine[0]["lap_time"]["value"] for row in mine)
     return same and len(mine) > 1 and mine[0]["trainings"] == 0 and mine[0]["lap_time"]["value"] is not None

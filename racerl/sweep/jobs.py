@@ -1,9 +1,10 @@
 """The jobs of a sweep: one training each, and its races in every car. Arms that train alike share a job.
 
 Arms whose words name a controller=, a driver's drive= or a drive to be scored, run=, train nothing: one job for all
-seeds.
+seeds, in the world (vehicle, track, …) of the others.
 """
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,6 +14,11 @@ from racerl.run import Compose, config_hash, is_complete
 from racerl.sweep.definition import Sweep
 
 UNTRAINED = -1  # stands for the seed of what is not trained
+WORLD = {  # groups of a training's words that hold for a stage, too
+    "race": ("vehicle", "track", "sim", "action"),
+    "record": ("vehicle", "track", "sim"),
+    "evaluate": ("track",),
+}
 STAGES = {"controller": "race", "drive": "record", "run": "evaluate"}  # by a word of such arms
 SLOWEST_LAP, LONGEST_RUN = 15.0, 600.0  # s, of a driver that is recorded
 
@@ -73,7 +79,7 @@ def plan(sweeps: Sequence[Sweep], settings: Mapping[str, Any], out: Path, compos
             rival = any(word.partition("=")[0] in STAGES for word in words)
             for seed in [UNTRAINED] if rival else settings["seeds"] or sweep.seeds:
                 if rival:
-                    job = _rival(arm, words, settings, out, compose)
+                    job = _rival(arm, [*sweep.base, *map(str, settings["words"])], words, settings, out, compose)
                 else:
                     job = _training(arm, [*sweep.base, *words], seed, settings, out, compose)
                 identity = job.path.name.rpartition("-")[2]
@@ -96,23 +102,42 @@ def _training(
     return Job(f"{arm}-{seed}", path, {**train, "out": str(path / "train")}, races)
 
 
-def _rival(arm: str, words: Sequence[str], settings: Mapping[str, Any], out: Path, compose: Compose) -> Job:
-    stage = next(STAGES[key] for word in words if (key := word.partition("=")[0]) in STAGES)
-    path = out / "jobs" / f"{arm}-{config_hash(compose(stage, words))[:6]}"
+def _rival(
+    arm: str, base: Sequence[str], own: Sequence[str], settings: Mapping[str, Any], out: Path, compose: Compose
+) -> Job:
+    """Return the job of an arm that races in the world of the others: of their words, those about the world count."""
+    stage = next(STAGES[key] for word in own if (key := _key(word)) in STAGES)
+    said = {_key(word) for word in own}
+    words = [*(word for word in base if _group(word) in WORLD[stage] and _key(word) not in said), *own]
+    path = out / "jobs" / f"{arm}-{config_hash({**compose(stage, words), 'files': _contents(words)})[:6]}"
     laps, starts = settings["laps"], list(settings["starts"])
     races = {}
     for car in settings["cars"]:
-        own = [*words, f"car={car}"]
+        raced = [*words, f"car={car}"]
         if stage == "race":
             asked = [f"laps={laps}", f"seeds={starts}", f"threads={settings['threads']}", f"out='{path / car}'"]
-            races[car] = Race(compose("race", [*own, *asked]))
+            races[car] = Race(compose("race", [*raced, *asked]))
         elif stage == "evaluate":
-            races[car] = Race(compose("evaluate", [*own, f"out='{path / car}'"]))
+            races[car] = Race(compose("evaluate", [*raced, f"out='{path / car}'"]))
         else:
             block = min(LONGEST_RUN, SLOWEST_LAP * (laps + 1))
             asked = [f"seconds={block * len(starts)}", f"drive.block={block}", f"out='{path / car}_drive'"]
-            record = compose("record", [*own, *asked])
+            record = compose("record", [*raced, *asked])
             log = Path(record["out"]) / record["file"]
             score = compose("evaluate", [f"run='{log}'", f"out='{path / car}'"])
             races[car] = Race({**score, "track": record["track"]}, record)
     return Job(arm, path, None, races)
+
+
+def _key(word: str) -> str:
+    return word.lstrip("+~").partition("=")[0]
+
+
+def _group(word: str) -> str:
+    return _key(word).partition(".")[0].partition("/")[0]
+
+
+def _contents(words: Sequence[str]) -> list[str]:
+    """Return hashes of the files that words name, so that another content makes another job."""
+    paths = [Path(word.partition("=")[2]) for word in words]
+    return [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths if path.is_file()]

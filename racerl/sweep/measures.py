@@ -17,6 +17,8 @@ from racerl.evaluate.outcome import METRICS, TRACK, TRAJECTORIES
 from racerl.sweep.jobs import Job
 from racerl.train.session import read_progress
 
+# columns of a lap
+LAP = ("car", "start", "number", "time_s", "e_off", "off_track_m", "crashed", "valid", "turn_in_m")
 Array = NDArray[np.float64]
 SHARE = 0.1  # of a training's end, over which its reward is averaged
 STEP, REACH = 0.05, 2.0  # m, of the grid that turn-in is looked for on, and how far
@@ -77,7 +79,7 @@ def turn_ins(drive: pd.DataFrame, track: pd.DataFrame) -> dict[tuple[int, int], 
     curvature = np.interp(grid, track["s_m"], track["curvature_1_m"], period=length)
     found = {}
     for (start, number), lap in drive[drive["lap"] > 0].groupby(["seed", "lap"]):
-        if np.ptp(lap["s"]) > 0.9 * length:
+        if np.ptp(lap["s"]) > 0.9 * length and lap["delta"].notna().all():  # not every log has steering
             found[int(start), int(number)] = turn_in(np.interp(grid, lap["s"], lap["delta"], period=length), curvature)
     return found
 

@@ -29,12 +29,21 @@ class Samples:
     """Every metric of every arm of a sweep in one car: of each training, and resampled, (R,)."""
 
     seeds: Sequence[int]
-    per_seed: Mapping[str, Mapping[str, Array]]  # arm → metric → (S,)
+    trained: Mapping[str, Sequence[int]]  # arm → the seeds that it has, UNTRAINED alone for what is not trained
+    per_seed: Mapping[str, Mapping[str, Array]]  # arm → metric → one for each of those
     resampled: Mapping[str, Mapping[str, Array]]  # arm → metric → (R,)
+    laps: Mapping[str, int]  # arm → laps driven
 
     def value(self, arm: str, metric: str) -> float:
         """Return an arm's metric, averaged over trainings; NaN where one has none."""
         return float(np.mean(self.per_seed[arm][metric]))
+
+    def shared(self, arms: Iterable[str], metric: str) -> dict[str, Array]:
+        """Return the metric of arms seed by seed, over the seeds that all trained ones have."""
+        own = {arm: list(self.trained[arm]) for arm in arms}
+        common = [seed for seed in self.seeds if all(seed in has or has == [UNTRAINED] for has in own.values())]
+        rows = {arm: [0] if has == [UNTRAINED] else [has.index(seed) for seed in common] for arm, has in own.items()}
+        return {arm: self.per_seed[arm][metric][index] for arm, index in rows.items()}
 
     def interval(self, arm: str, metric: str) -> list[float] | None:
         """Return its 95 % interval; None where too few resamples have a value."""
@@ -42,41 +51,53 @@ class Samples:
 
 
 def resample(laps: pd.DataFrame, rewards: pd.DataFrame, generator: np.random.Generator) -> Samples:
-    """Return the samples of one sweep in one car, from rows of laps and of trainings."""
+    """Return the samples of one sweep in one car, from rows of laps and of trainings.
+
+    Starts are drawn by their places among an arm's own, the same places for all arms.
+    """
     seeds = sorted({int(seed) for seed in laps["seed"]} - {UNTRAINED}) or [UNTRAINED]
     arms = list(dict.fromkeys(laps["arm"]))
     blocks = {
         key: rows[list(MEASURES)].to_numpy(dtype=float)
         for key, rows in laps.groupby(["arm", "seed", "start"], sort=True)
     }
-    starts = sorted(int(start) for start in laps["start"].unique())
+    starts: dict[tuple[str, int], list[int]] = {}
+    for arm, seed, start in blocks:
+        starts.setdefault((arm, seed), []).append(start)
+    most = max(map(len, starts.values()), default=0)
     reward = {(row.arm, row.seed): row.reward for row in rewards.itertuples()}
 
-    def metrics(arm: str, seed: int, drawn: Iterable[int], shuffled: bool) -> dict[str, float]:
-        own = [start for start in starts if (arm, seed, start) in blocks]  # a bound has one lap
-        parts = [blocks[arm, seed, own[starts.index(start) % len(own)]] for start in drawn]
-        if shuffled:
+    def metrics(arm: str, seed: int, places: Array | None = None) -> dict[str, float]:
+        own = starts.get((arm, seed), [])
+        if places is None:
+            parts = [blocks[arm, seed, start] for start in own]
+        else:
+            parts = [blocks[arm, seed, own[int(place * len(own))]] for place in places[: len(own)]]
             parts = [part[generator.integers(len(part), size=len(part))] for part in parts]
-        return {**_metrics(np.concatenate(parts)), "reward": float(reward.get((arm, seed), math.nan))}
+        laps = np.concatenate(parts) if parts else np.zeros((0, len(MEASURES)))
+        return {**_metrics(laps), "reward": float(reward.get((arm, seed), math.nan))}
 
     of = {arm: [seed for seed in (UNTRAINED, *seeds) if (arm, seed) in reward] for arm in arms}
-    per_seed = {arm: _table([metrics(arm, seed, starts, False) for seed in of[arm]]) for arm in arms}
+    per_seed = {arm: _table([metrics(arm, seed) for seed in of[arm]]) for arm in arms}
     rows: dict[str, list[dict[str, float]]] = {arm: [] for arm in arms}
     for _ in range(RESAMPLES):
         chosen = generator.choice(seeds, size=len(seeds))
-        drawn = [generator.choice(starts, size=len(starts)) for _ in chosen]
+        drawn = [generator.random(most) for _ in chosen]
         for arm in arms:
             asked = [(UNTRAINED, drawn[0])] if UNTRAINED in of[arm] else list(zip(chosen, drawn, strict=True))
-            found = [metrics(arm, int(seed), which.tolist(), True) for seed, which in asked if int(seed) in of[arm]]
+            found = [metrics(arm, int(seed), places) for seed, places in asked if int(seed) in of[arm]]
             rows[arm].append(
                 {name: float(np.mean([each[name] for each in found])) if found else math.nan for name in METRICS}
             )
-    return Samples(seeds, per_seed, {arm: _table(row) for arm, row in rows.items()})
+    driven = {arm: int((laps["arm"] == arm).sum()) for arm in arms}
+    return Samples(seeds, of, per_seed, {arm: _table(row) for arm, row in rows.items()}, driven)
 
 
 def _metrics(laps: Array) -> dict[str, float]:
     """Return the metrics of laps (L, 6) in the order of MEASURES; NaN where there is none to take it from."""
     time, e_off, off, crashed, valid, lead = laps.T
+    if not len(laps):  # a car that creeps is given up before its first
+        return {name: math.nan for name in METRICS if name != "reward"}
     timed, clean, led = time[~np.isnan(time)], time[valid > 0.5], lead[~np.isnan(lead)]
     return {
         "lap_time": float(timed.mean()) if len(timed) else math.nan,
@@ -123,6 +144,7 @@ def _test(test: Comparison, sweep: Sweep, samples: Mapping[str, Samples]) -> dic
         "seeds": 0,
         "agreeing": 0,
         "holds": None,
+        "one_lap": [],
         "why": "",
     }
     absent = sorted(arm for arm in test.arms if test.car not in samples or arm not in samples[test.car].per_seed)
@@ -135,7 +157,8 @@ def _test(test: Comparison, sweep: Sweep, samples: Mapping[str, Samples]) -> dic
     if interval is None or math.isnan(effect):
         lacking = [arm for arm in sorted(test.arms) if math.isnan(mine.value(arm, test.metric))]
         return {**facts, "why": f"{METRICS[test.metric]}: none for {', '.join(lacking) or 'some resamples'}"}
-    single = contrast(test, {arm: mine.per_seed[arm][test.metric] for arm in test.arms})
+    single = contrast(test, mine.shared(test.arms, test.metric))
+    facts["one_lap"] = sorted(arm for arm in test.arms if mine.laps[arm] == 1)  # taken as if it were exact
     facts["agreeing"] = sum(test.holds(float(value), float(value)) is True for value in single)
     return {**facts, "effect": float(effect), "ci95": interval, "holds": test.holds(*interval)}
 

@@ -20,7 +20,7 @@ from racerl.run import MANIFEST, Compose, RunFolder
 from racerl.sweep.definition import Sweep, read_sweeps
 from racerl.sweep.engine import LOGS, Engine, Status, alone
 from racerl.sweep.jobs import Plan, plan
-from racerl.sweep.measures import final_reward, learning, measure, usual_steering
+from racerl.sweep.measures import LAP, final_reward, learning, measure, usual_steering
 from racerl.sweep.statistics import Samples, judge, resample
 
 RESULTS, LAPS, LEARNING = "results.json", "laps.csv", "learning.csv"
@@ -102,7 +102,7 @@ def gather(planned: Plan, cars: Sequence[str], laps: int) -> dict[str, pd.DataFr
         if sweep in turning:
             steering += [usual_steering(job, car).assign(**where, car=car) for car in cars]
     return {
-        LAPS: pd.DataFrame(rows),
+        LAPS: pd.DataFrame(rows, columns=["sweep", "arm", "seed", *LAP]),
         TRAININGS: pd.DataFrame(trainings).astype({"reward": float}),  # of what is not trained, none
         LEARNING: pd.concat(curves),
         STEERING: pd.concat(steering) if steering else pd.DataFrame(),

@@ -12,10 +12,11 @@ from typing import Any
 
 from racerl import bounds
 from racerl.assemble import Car, use_threads
-from racerl.control.controllers import read_controller
+from racerl.control.controllers import create_controller, read_controller
 from racerl.documents import write_json, write_yaml
 from racerl.errors import ConfigError, RacerlError, suggest
 from racerl.evaluate.drive import drive
+from racerl.evaluate.evaluate import seeds_of
 from racerl.evaluate.laps import Lap, score
 from racerl.evaluate.rivals import prepare
 from racerl.run import RunFolder
@@ -34,8 +35,11 @@ def tune(
     trials = bounds.whole("trials", settings["trials"], 1, 100_000)
     first = read_controller(settings["controller"])
     ranges = _ranges(first, settings["search"])
-    folder = RunFolder.start(out, "tune", settings, seed=settings["seed"], threads=settings["threads"])
-    study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=settings["seed"]))
+    seed = bounds.whole("seed", settings["seed"], 0, 2**32 - 1)
+    bounds.whole("laps", settings["laps"], 1, 10_000)
+    seeds_of(settings["seeds"])
+    folder = RunFolder.start(out, "tune", settings, seed=seed, threads=settings["threads"])
+    study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=seed))
     study.enqueue_trial({name: first[name] for name in ranges})
     rows: list[dict[str, Any]] = []
     for number in range(trials):
@@ -70,20 +74,24 @@ def per_valid_lap(laps: Sequence[Lap]) -> float:
     return driven / valid if valid else NEVER
 
 
-def _ranges(controller: Mapping[str, Any], search: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
-    """Return the least and greatest value of every number that is looked for."""
+def _ranges(controller: Mapping[str, Any], search: Mapping[str, Any] | None) -> dict[str, tuple[float, float]]:
+    """Return the least and greatest value of every number that is looked for, the controller's own unless given."""
+    design = create_controller(controller)
+    search = getattr(design, "SEARCH", {}) if search is None else search
     if not isinstance(search, Mapping) or not search:
         raise ConfigError("search: a mapping from the controller's numbers to [least, greatest] is expected")
     ranges = {}
     for name, pair in search.items():
-        if not isinstance(controller.get(name), (int, float)):
+        if not isinstance(controller.get(name), float):
             numbers = [key for key, value in controller.items() if isinstance(value, float)]
             raise ConfigError(f"search.{name}: the controller has no such number{suggest(str(name), numbers)}")
-        if not isinstance(pair, list) or len(pair) != 2:
+        if not isinstance(pair, (list, tuple)) or len(pair) != 2:
             raise ConfigError(f"search.{name} = {pair}: two numbers are expected, [least, greatest]")
         low, high = (bounds.number(f"search.{name}", each, 1e-9, 1e9) for each in pair)
         if not low < high or not low <= controller[name] <= high:
             raise ConfigError(f"search.{name} = {pair}: least < greatest around {controller[name]:g} is expected")
+        for end in (low, high):
+            create_controller({**controller, name: end})  # its own limits
         ranges[name] = (low, high)
     return ranges
 

@@ -13,7 +13,7 @@ from racerl.tune.tune import CRASH, NEVER, per_valid_lap, tune
 
 def settings(*words, line):
     base = ["controller=pure_pursuit", f"controller.raceline={line}", "trials=4", "laps=1", "seeds=[0]", "dr=none"]
-    return {**compose_settings("tune", [*base, *words]), "search": {"speed": [0.3, 0.75]}}
+    return compose_settings("tune", [*base, "search={speed: [0.3, 0.75]}", *words])
 
 
 @pytest.fixture(scope="module")

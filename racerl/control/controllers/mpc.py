@@ -8,7 +8,7 @@ drive is the first plan.
 
 from collections import deque
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -44,6 +44,16 @@ Array = NDArray[np.float64]
 class Mpc:
     """The controller's settings."""
 
+    # least and greatest of what racerl tune looks for
+    SEARCH: ClassVar[dict[str, tuple[float, float]]] = {
+        "q_sideslip": (1e-4, 1.0),
+        "q_steering": (1e-4, 1.0),
+        "q_drive": (1e-5, 0.1),
+        "q_boundary": (10.0, 1000.0),
+        "room": (0.005, 0.1),
+        "turn": (0.7, 1.3),
+        "damping": (0.1, 10.0),
+    }
     delay: float  # s, from measurement to command
     nodes: int
     horizon: float  # s
@@ -210,7 +220,7 @@ class Pilot:
         )
 
     def _boundaries(self, y: Array) -> tuple[Array, Array]:
-        """Return the rows  e ± (n − n_limit(s)) ≥ room − …  of the inner nodes, (K − 1, 2, M) and (K − 1, 2)."""
+        """Return the rows  e ± (n − n_limit(s)) ≥ room,  e ± ξ ≥ −turn  of the inner nodes: C and d of a problem."""
         horizon = self.horizon
         _, low, high, _, low_slope, high_slope = horizon.table.at(y[:, 0])
         rows = np.zeros((len(y), ROWS, horizon.states + 3))
@@ -233,7 +243,7 @@ class Pilot:
         steps = -int(-self._lateness // LONGEST)
         for number in range(steps):
             step = self._lateness / steps
-            history = [given[0], *given]  # the newest, which is not known yet, acts later
+            history = [given[0], *given]  # the newest is not known yet; where delays differ, the last stands for it
             delta_ref, drive_ref = delayed(history, self._delays, number * step, step, self.known.timing.dt, TORCH)
             if action.integrated:
                 y[-1] = drive_ref

@@ -1,11 +1,13 @@
 """The time-optimal lap as a row of its own: nobody drives it, it is the bound under everybody's laps."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import pandas as pd
 
-from racerl.control.controllers import Known
+from racerl.control.controllers import Known, Rival
+from racerl.errors import ConfigError
 from racerl.optimum.optimum import find_optimum, trajectory
 
 PERIOD = 0.01  # s
@@ -15,6 +17,12 @@ LAPS = 2.2  # so that one begins and ends at the line
 @dataclass(frozen=True)
 class Optimum:
     """The bound; it has no settings."""
+
+    delay: ClassVar[float] = 0.0
+
+    def prepare(self, known: Known) -> Rival:
+        """Raise ConfigError: there is nothing to drive."""
+        raise ConfigError("controller = optimum: is a lap, not a driver; racerl evaluate controller=optimum shows it")
 
     def lap(self, known: Known) -> pd.DataFrame:
         """Return the lap, driven over and over, as the table of a log; raise OptimumError where none is found."""

@@ -23,6 +23,7 @@ from racerl.errors import ConfigError
 from racerl.optimum.optimum import find_optimum, trajectory
 
 SPACING = 0.02  # m
+SHORTEST = 1.0  # m, of a line
 COLUMNS = {"x": 1, "y": 2, "speed": 5}  # of a TUM raceline
 
 Array = NDArray[np.float64]
@@ -32,6 +33,13 @@ Array = NDArray[np.float64]
 class PurePursuit:
     """The controller's settings."""
 
+    # least and greatest of what racerl tune looks for
+    SEARCH: ClassVar[dict[str, tuple[float, float]]] = {
+        "speed": (0.3, 1.2),
+        "ahead": (0.1, 1.0),
+        "ahead_time": (0.01, 0.5),
+        "preview": (0.01, 0.5),
+    }
     speed: float  # share of the line's speed
     ahead: float  # m, to the point that is steered for, and
     ahead_time: float  # s, more with speed
@@ -43,6 +51,8 @@ class PurePursuit:
         ranges = {"speed": (0.05, 2.0), "ahead": (0.05, 10.0), "ahead_time": (0.0, 3.0), "preview": (0.0, 3.0)}
         for name, (low, high) in {**ranges, "delay": (0.0, 0.2)}.items():
             bounds.number(f"controller.{name}", getattr(self, name), low, high)
+        if self.raceline is not None and not isinstance(self.raceline, str):
+            raise ConfigError(f"controller.raceline = {self.raceline}: the path of a file is expected")
 
     def prepare(self, known: Known) -> "Pursuer":
         """Return the controller for a car and its track."""
@@ -103,6 +113,9 @@ def _read(path: Path) -> Array:
         raise ConfigError(
             f"controller.raceline = {path}: no TUM raceline (s; x; y; psi; kappa; vx; ax): {error}"
         ) from error
-    if line.shape[1] < 10 or not np.isfinite(line).all() or (line[2] <= 0).any():
-        raise ConfigError(f"controller.raceline = {path}: ten points or more with positive speeds are expected")
+    length = np.hypot(*np.diff(line[:2])).sum()
+    if line.shape[1] < 10 or not np.isfinite(line).all() or (line[2] <= 0).any() or length < SHORTEST:
+        raise ConfigError(
+            f"controller.raceline = {path}: ten points or more with positive speeds over {SHORTEST:g} m are expected"
+        )
     return line
