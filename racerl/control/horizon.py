@@ -73,7 +73,8 @@ class Table:
 
     def at(self, s: Array) -> Array:
         """Return curvature, least and greatest n, and the slopes of the three, (6, M), at s (M,)."""
-        place = np.nan_to_num(np.mod(s, self.length) / self._spacing)  # what is not finite shows in the states
+        place = np.mod(s, self.length) / self._spacing
+        place = np.where(np.isfinite(place), place, 0.0)  # what is not finite shows in the states
         cell = np.minimum(place.astype(np.int64), len(self._rows) - 1)
         share = (place - cell)[:, None]
         found: Array = (self._rows[cell] * (1.0 - share) + self._next[cell] * share).T

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 ROWS = 4  # of C, at every node but the first and the last
 WIDEST = 10.0  # stands for no bound: an interior-point method minds an infinite one
 ACCURACY = {"res_g_max": 1e-5, "res_b_max": 1e-6, "res_d_max": 1e-6, "res_m_max": 1e-5}
-ITERATIONS = 50
+ITERATIONS = 35  # usual are 12 to 20
+SPLITTINGS = 150  # of OSQP, which has no more time than that
 
 Array = NDArray[np.float64]
 
@@ -54,7 +55,7 @@ class StageQp:
         quiet: dict[str, Any] = {"error_on_fail": False, "print_time": False}
         hpipm = {"iter_max": ITERATIONS, **ACCURACY}
         self._hpipm = casadi.conic("hpipm", "hpipm", shape, {**structure, "hpipm": hpipm, **quiet})
-        self._osqp = casadi.conic("osqp", "osqp", shape, {"osqp": {"verbose": False}, **quiet})
+        self._osqp = casadi.conic("osqp", "osqp", shape, {"osqp": {"verbose": False, "max_iter": SPLITTINGS}, **quiet})
         self._h, self._a = shape["h"], shape["a"]
         self.handed_over = 0  # to OSQP
 

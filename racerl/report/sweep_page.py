@@ -128,8 +128,8 @@ def drawn(found: Findings) -> Iterator[tuple[str, str, str, str | None]]:
 def _duel(found: Findings, a: str, b: str) -> str | None:
     """Return the figure of two arms' fastest laps; None where one has none, or the drives are not there any more."""
     evaluations = [_fastest(found, arm) for arm in (a, b)]
-    pairs = zip((a, b), evaluations, strict=True)
-    laps = [lap for arm, raced in pairs if raced and (lap := fastest_lap(_words(arm), raced))]
+    named = zip((f"A: {_words(a)}", f"B: {_words(b)}"), evaluations, strict=True)
+    laps = [lap for name, raced in named if raced and (lap := fastest_lap(name, raced))]
     return duel.draw(laps[0], laps[1], evaluations[0].track, []) if len(laps) == 2 and evaluations[0] else None
 
 
