@@ -1,6 +1,7 @@
 """Arms that train nothing: one job for all seeds, rows beside those of policies, and the pages that show them."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pandas as pd
@@ -8,10 +9,12 @@ import pytest
 
 from racerl.assemble import build_track
 from racerl.config import compose_settings
+from racerl.report.sweep_page import draw_sweep
+from racerl.run import RunFolder
 from racerl.sweep.definition import METRICS, Comparison, read_sweeps
 from racerl.sweep.jobs import UNTRAINED, plan
 from racerl.sweep.statistics import MEASURES, contrast, resample
-from racerl.sweep.sweep import LAPS, TRAININGS, gather, results
+from racerl.sweep.sweep import LAPS, TRAININGS, gather, results, summarise
 from racerl.sweep.work import work
 
 SETTINGS = {"words": [], "threads": 1, "seeds": [], "laps": 1, "starts": [0, 1], "cars": ["model", "twin"]}
@@ -20,7 +23,8 @@ SETTINGS = {"words": [], "threads": 1, "seeds": [], "laps": 1, "starts": [0, 1],
 @pytest.fixture(scope="module")
 def planned(tmp_path_factory):
     """A finished sweep of rivals alone."""
-    out = tmp_path_factory.mktemp("rivals")
+    out = tmp_path_factory.mktemp("rivals") / "sweep"
+    RunFolder.start(out, "sweep", SETTINGS)
     track = build_track(compose_settings("train"))
     line = out / "line.csv"
     line.write_text("\n".join(f"0; {x}; {y}; 0; 0; 1.5; 0" for x, y in zip(track.x, track.y, strict=True)))
@@ -55,6 +59,40 @@ def test_their_laps_stand_beside_those_of_policies(planned):
     assert rows["human", "model"]["lap_time"]["value"] == pytest.approx(5.85, abs=0.01)
     assert rows["human", "model"]["reward"]["value"] is None
     assert rows["pursuit", "twin"]["lap_time"] != rows["pursuit", "model"]["lap_time"]
+
+
+def test_the_page_has_table_1_with_recorded_drives_once(planned):
+    out = planned.jobs[0].path.parent.parent
+    summarise(planned, SETTINGS, out, {})
+    page = draw_sweep(out).read_text()
+    drivers = re.findall(r"<td>([^<]*, (?:model|twin|recorded|real car))</td>", page)
+    assert drivers.count("human, recorded") == 1 and "human, model" not in drivers
+    assert {"pursuit, model", "pursuit, twin", "human like, twin", "paper: MPC, real car"} <= set(drivers)
+    assert "5.850</td>" in page  # one lap, no interval
+
+
+def test_rivals_race_in_the_world_of_the_others(tmp_path):
+    sweep = dataclasses.replace(
+        read_sweeps("controllers")[0],
+        base=("dr=friction_0.02", "vehicle=published"),
+        arms={
+            "mpc": ("controller=mpc",),
+            "like": ("drive=human_like", "vehicle=jetracer"),
+            "human": ("run=paper:human", "track=l_shape"),
+        },
+        claims=(),
+    )
+    settings = {**SETTINGS, "words": ["budget=smoke", "sim.step=0.005"]}
+    jobs = {job.name: job for job in plan([sweep], settings, tmp_path, compose_settings).jobs}
+    published, jetracer = (
+        compose_settings("train", [f"vehicle={name}"])["vehicle"] for name in ("published", "jetracer")
+    )
+    assert jobs["mpc"].races["twin"].settings["vehicle"] == published
+    assert jobs["mpc"].races["model"].settings["sim"]["step"] == 0.005
+    assert jobs["like"].races["model"].record["vehicle"]["mass"] == jetracer["mass"]  # its own word counts
+    assert jobs["human"].races["model"].settings["track"] is not None
+    again = {job.name: job for job in plan([sweep], SETTINGS, tmp_path, compose_settings).jobs}
+    assert again["mpc"].path != jobs["mpc"].path and again["human"].path == jobs["human"].path
 
 
 def rows_of(arm, seed, times):
