@@ -18,6 +18,7 @@ from racerl.run import RunFolder
 from racerl.sweep.definition import METRICS
 from racerl.sweep.sweep import LAPS, LEARNING, RESULTS, STEERING, TRAININGS
 
+CURVE = ["sweep", "arm", "seed", "steps", "reward"]  # columns of a learning curve; a sweep of rivals has none
 CURVES = ("track_representation", "action_space")  # sweeps whose arms the paper's Fig. 4 shows
 DRIVERS, DUELS = "controllers", (("rl_geometric", "human"), ("rl_geometric", "mpc"))
 PERCENT = ("crash_share", "valid_share")
@@ -43,7 +44,7 @@ class Findings:
             read_json(folder / RESULTS),
             pd.read_csv(folder / LAPS),
             pd.read_csv(folder / TRAININGS),
-            pd.read_csv(folder / LEARNING) if (folder / LEARNING).is_file() else pd.DataFrame(columns=["sweep"]),
+            pd.read_csv(folder / LEARNING) if (folder / LEARNING).is_file() else pd.DataFrame(columns=CURVE),
             pd.read_csv(steering) if steering.is_file() else pd.DataFrame(),
         )
 
