@@ -25,9 +25,9 @@ from racerl.drive.world import build
 from racerl.errors import ConfigError, RunError
 from racerl.evaluate.drive import Recorder
 from racerl.evaluate.outcome import write_outcome
-from racerl.optimum.floor import find_floor, problem_hash
+from racerl.optimum.floor import known_floor, problem_hash
 from racerl.registry import construct
-from racerl.run import RunFolder, find_runs
+from racerl.run import RunFolder
 
 if TYPE_CHECKING:
     from racerl.drive.seat import Seat
@@ -95,7 +95,7 @@ def write(folder: RunFolder, seat: "Seat", car: Car, seed: int) -> dict[str, Any
         label="human" if seat.hands.live else "script",
         car=car.name,
         controller=seat.name,
-        floor=find_floor(problem, find_runs(Path("outputs"))),
+        floor=known_floor(problem),
         faults=race.faults,
         drive_mode=race.action.drive_mode,
         laps_wanted=seat.session.laps,

@@ -19,10 +19,10 @@ from racerl.errors import ConfigError, PolicyError
 from racerl.evaluate.drive import Recorder, drive
 from racerl.evaluate.outcome import write_outcome
 from racerl.evaluate.recorded import follow, read_recorded
-from racerl.optimum.floor import find_floor, problem_hash
+from racerl.optimum.floor import known_floor, problem_hash
 from racerl.paper import PAPER
 from racerl.registry import construct
-from racerl.run import RunFolder, find_runs
+from racerl.run import RunFolder
 
 UNLIMITED = 2**31  # control steps: evaluation is never cut off
 OVERRIDABLE = ("vehicle", "track", "sim", "dr")
@@ -65,7 +65,7 @@ def evaluate(
         label=name,
         car=car.name,
         controller=policy.name,
-        floor=find_floor(problem, find_runs(Path("outputs"))),
+        floor=known_floor(problem),
         faults=race.faults,
         run=str(settings["run"]),
         run_id=trained.manifest["run_id"],

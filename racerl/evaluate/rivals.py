@@ -20,9 +20,9 @@ from racerl.evaluate.drive import Recorder, drive
 from racerl.evaluate.evaluate import build_evaluation_race, combine, seeds_of
 from racerl.evaluate.outcome import write_outcome
 from racerl.evaluate.recorded import follow
-from racerl.optimum.floor import find_floor, problem_hash
+from racerl.optimum.floor import known_floor, problem_hash
 from racerl.registry import construct
-from racerl.run import RunFolder, find_runs
+from racerl.run import RunFolder
 
 Settings = Mapping[str, Any]
 TOUCHING = 1e-3  # m; a lap that touches the boundary goes beyond it between the points of its mesh
@@ -53,7 +53,7 @@ def race(
         label=controller.name,
         car=car.name,
         controller=controller.name,
-        floor=find_floor(problem, find_runs(Path("outputs"))),
+        floor=known_floor(problem),
         faults=field.faults,
         laps_per_seed=laps,
         **controller.facts,

@@ -4,10 +4,11 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 from racerl.env.actions import Action
-from racerl.run import RunFolder
+from racerl.run import RunFolder, find_runs
 from racerl.track.track import Track
 from racerl.vehicle.parameter import values
 from racerl.vehicle.vehicle import Vehicle
@@ -30,6 +31,11 @@ def find_floor(problem: Any, runs: Sequence[RunFolder]) -> float | None:
         if run.manifest["stage"] == "optimum" and run.manifest.get("problem") == problem
     ]
     return float(times[-1]) if times and isinstance(times[-1], (int, float)) else None
+
+
+def known_floor(problem: str) -> float | None:
+    """Return the floor of a problem among the runs under `outputs`, where racerl is run."""
+    return find_floor(problem, find_runs(Path("outputs")))
 
 
 def gap(lap: float | None, floor: float | None) -> float | None:
