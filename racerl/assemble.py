@@ -1,5 +1,7 @@
 """From a resolved configuration, a plain mapping, to the objects of the world."""
 
+import ctypes
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -21,6 +23,9 @@ from racerl.vehicle.load import load_vehicle
 from racerl.vehicle.vehicle import STATE, Vehicle
 
 Settings = Mapping[str, Any]
+
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # of glibc's mallopt
+KEPT_BLOCK, KEPT_TOTAL = 32 << 20, 256 << 20  # bytes: blocks up to this size, and this much free memory, are kept
 
 # what a resolved configuration, perhaps one that a stranger's run folder holds, must have
 NEEDED: dict[str, tuple[str, ...]] = {
@@ -68,8 +73,16 @@ def check_settings(settings: Settings) -> None:
 
 
 def use_threads(threads: Any) -> None:
-    """Let torch compute with this many threads; raise ConfigError when it is no sensible number."""
+    """Let torch compute with this many threads; raise ConfigError when it is no sensible number.
+
+    Memory that torch frees stays with the process: given back and asked for anew at every step, its pages cost more
+    time than the step.
+    """
     torch.set_num_threads(bounds.whole("threads", threads, 1, 256))
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if os.name == "posix" else None
+    if mallopt is not None:  # glibc
+        mallopt(M_MMAP_THRESHOLD, KEPT_BLOCK)
+        mallopt(M_TRIM_THRESHOLD, KEPT_TOTAL)
 
 
 def build_vehicle(settings: Settings) -> Vehicle:

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from racerl.env.actions import Action
+from racerl.env.chosen import Chosen, Masked, Numbered
 from racerl.env.dice import Dice
 from racerl.env.observations import OBSERVATION_LIMIT, Observation
 from racerl.env.randomize import ParameterDraws, Randomization
@@ -111,11 +112,11 @@ class View(Rows):
     constant: Callable[[Sequence[float]], Tensor]
 
     @classmethod
-    def of(cls, race: "Race", cars: Tensor | None) -> "View":
-        """Return the view of all cars, or of the cars of these numbers."""
+    def of(cls, race: "Race", chosen: Chosen | None) -> "View":
+        """Return the view of all cars, or of some."""
         tensors = (*race.seen(), race.command, race.command_rate)
-        if cars is not None:
-            tensors = tuple(t.index_select(t.ndim - 1, cars) for t in tensors)  # type: ignore[assignment]
+        if chosen is not None:
+            tensors = tuple(map(chosen.take, tensors))  # type: ignore[assignment]
         return cls(*tensors, race.frame, race.action, race.constant)
 
 
@@ -155,7 +156,9 @@ class Race(Rows):
             self.device,
             self.dtype,
         )
-        self.faults = 0
+        # for the device to say whether any car ended or failed; a GPU had better go on than be asked
+        self.waits = self.device.type == "cpu"
+        self._faults = torch.zeros((), device=self.device, dtype=torch.long)
         self._nobody = torch.zeros(self.count, device=self.device, dtype=torch.bool)
         self._constants: dict[tuple[float, ...], Tensor] = {}
         zeros = torch.zeros(self.count, device=self.device, dtype=self.dtype)
@@ -189,9 +192,14 @@ class Race(Rows):
         state = seen(self._drawn(), self.shown, self.timing.dt)
         return state, self.frame.locate(state[X], state[Y], state[YAW], self.s)[0]
 
-    def observe(self, cars: Tensor | None = None) -> Tensor:
-        """Return the observation (N, O), inside ± OBSERVATION_LIMIT, or that of the cars of these numbers (K,)."""
-        view = View.of(self, cars)
+    @property
+    def faults(self) -> int:
+        """Simulations that failed so far."""
+        return int(self._faults)
+
+    def observe(self, chosen: Chosen | None = None) -> Tensor:
+        """Return the observation (N, O), inside ± OBSERVATION_LIMIT, of all cars or of some."""
+        view = View.of(self, chosen)
         return self.observation(view).clamp_(-OBSERVATION_LIMIT, OBSERVATION_LIMIT)
 
     def reset(self) -> Tensor:
@@ -203,7 +211,8 @@ class Race(Rows):
         """Begin the episodes of the cars of these numbers (K,) in states (S, K), with commands (2, K) behind them."""
         apart = (state[X][:, None] - self.frame.x) ** 2 + (state[Y][:, None] - self.frame.y) ** 2
         near = apart.argmin(dim=1) * self.frame.spacing
-        self._begin(cars, state, command, self.frame.locate(state[X], state[Y], state[YAW], near)[0])
+        place, _ = self.frame.locate(state[X], state[Y], state[YAW], near)
+        self._begin(Numbered(cars), state, command, place)
 
     def reseed(self, seeds: Sequence[int]) -> None:
         """Use new seeds from the next restart on."""
@@ -222,9 +231,9 @@ class Race(Rows):
         final, command, margin = self.observe(), self.command, self.margin
         over = ended | truncated
         observation = final
-        if bool(over.any()):
-            cars = self._restart(over)
-            observation = final.index_copy(0, cars, self.observe(cars))
+        if not self.waits or bool(over.any()):
+            chosen = self._restart(over)
+            observation = chosen.put(final.T, self.observe(chosen).T).T
         return Step(observation, reward, ended, truncated, final, progress, command, margin, faulty)
 
     def _apply(self, action: Tensor) -> None:
@@ -235,9 +244,12 @@ class Race(Rows):
         if self._late:
             self.history = torch.cat([self.command[None], self.history[:-1]])
 
-    def _drawn(self, cars: Tensor | None = None) -> Vehicle:
-        """Return the vehicle with every car's own parameters, or those of the cars of these numbers (K,)."""
-        drawn = self.draws.values if cars is None else self.draws.values[:, cars]
+    def _chosen(self, mask: Tensor) -> Chosen:
+        return Numbered(mask.nonzero()[:, 0]) if self.waits else Masked(mask)
+
+    def _drawn(self, chosen: Chosen | None = None) -> Vehicle:
+        """Return the vehicle with every car's own parameters, of all cars or of some."""
+        drawn = self.draws.values if chosen is None else chosen.take(self.draws.values)
         return replace_values(self.vehicle, dict(zip(self.draws.names, drawn.unbind(0), strict=True)))
 
     def _drive(self) -> Tensor:
@@ -254,9 +266,11 @@ class Race(Rows):
     def _move(self) -> tuple[Tensor, Tensor]:
         """Integrate and project; return the progress in m and the cars whose state is no longer finite."""
         moved, faulty = self._drive(), self._nobody
-        if not bool(torch.isfinite(moved.sum())):
+        if not self.waits or not bool(torch.isfinite(moved.sum())):
             faulty = ~torch.isfinite(moved).all(dim=0)
-            self._report(faulty)
+            self._faults = self._faults + faulty.sum()
+            if self.waits:
+                self._report(faulty)
             # the state before may be broken too; the car is started over after this step
             moved = torch.where(faulty, self.state.nan_to_num(0.0, 0.0, 0.0), moved)
         self.state = moved
@@ -267,7 +281,7 @@ class Race(Rows):
         travelled = self.travelled + progress
         if self.randomization.each_lap and self.draws.names:
             crossed = (travelled / self.track.length).floor() > (self.travelled / self.track.length).floor()
-            self.draws.draw(crossed.nonzero()[:, 0], self.dice)
+            self.draws.draw(self._chosen(crossed), self.dice)
         self.travelled = travelled
         self.still_time = (self.still_time + self.timing.dt).masked_fill(self.v_x.abs() >= STOP_SPEED, 0.0)
         return progress, faulty
@@ -279,11 +293,11 @@ class Race(Rows):
             return what
         return what + self.spread * self.dice.normal(len(STATE), torch.arange(self.count, device=self.device))
 
-    def _restart(self, mask: Tensor) -> Tensor:
-        """Start the masked cars at a random place on the centreline with new parameters; return their numbers (K,)."""
-        cars = mask.nonzero()[:, 0]
-        self.draws.draw(cars, self.dice)
-        place, pace = self.dice.uniform(2, cars)
+    def _restart(self, mask: Tensor) -> Chosen:
+        """Start the masked cars at a random place on the centreline with new parameters; return which they are."""
+        chosen = self._chosen(mask)
+        self.draws.draw(chosen, self.dice)
+        place, pace = self.dice.uniform(2, chosen.cars)
         s = self.frame.wrap(place * self.track.length)
         speed = START_SPEED_MIN + pace * (START_SPEED_MAX - START_SPEED_MIN)
         still = torch.zeros_like(s)
@@ -291,27 +305,27 @@ class Race(Rows):
         rest = [still] * (len(self.vehicle.states) - len(STATE))
         state = torch.stack([x, y, yaw, speed, still, still, still, speed, *rest])
         command = torch.stack([still, self.action.initial(speed)])
-        self._begin(cars, state, command, self.frame.place(s, still, still))
-        return cars
+        self._begin(chosen, state, command, self.frame.place(s, still, still))
+        return chosen
 
-    def _begin(self, cars: Tensor, state: Tensor, command: Tensor, place: Tensor) -> None:
-        """Begin the episodes of the cars of these numbers (K,) in states (S, K) at places (5, K)."""
-        self.state = self.state.index_copy(1, cars, state)
-        self.command = self.command.index_copy(1, cars, command)
-        self.command_rate = self.command_rate.index_fill(0, cars, 0.0)
+    def _begin(self, chosen: Chosen, state: Tensor, command: Tensor, place: Tensor) -> None:
+        """Begin the episodes of some cars in states (S, K) at places (5, K)."""
+        zeros = torch.zeros_like(state[0])
+        self.state = chosen.put(self.state, state)
+        self.command = chosen.put(self.command, command)
+        self.command_rate = chosen.put(self.command_rate, zeros)
         if self._late:
-            self.history = self.history.index_copy(2, cars, command.expand(len(self.history), -1, -1))
+            self.history = chosen.put(self.history, command.expand(len(self.history), -1, -1))
         if self._sensed:
-            first = shown(self._drawn(cars), state).to(self.dtype)
-            self.shown = self.shown.index_copy(2, cars, first.expand(len(self.shown), -1, -1))
-        self.still_time = self.still_time.index_fill(0, cars, 0.0)
-        self.age = self.age.index_fill(0, cars, 0)
-        self.place = self.place.index_copy(1, cars, place)
-        self.travelled = self.travelled.index_copy(0, cars, place[0].double())
+            first = shown(self._drawn(chosen), state).to(self.dtype)
+            self.shown = chosen.put(self.shown, first.expand(len(self.shown), -1, -1))
+        self.still_time = chosen.put(self.still_time, zeros)
+        self.age = chosen.put(self.age, zeros.long())
+        self.place = chosen.put(self.place, place)
+        self.travelled = chosen.put(self.travelled, place[0].double())
 
     def _report(self, faulty: Tensor) -> None:
-        """Count cars whose simulation failed and log the state they failed from."""
-        self.faults += int(faulty.sum())
+        """Log the state from which a simulation failed."""
         car = int(faulty.nonzero()[0])
         state = ", ".join(
             f"{name} {float(value):.4g}" for name, value in zip(self.vehicle.states, self.state[:, car], strict=True)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from racerl.env.chosen import Chosen
 from racerl.env.dice import Dice
 from racerl.errors import ConfigError, suggest
 from racerl.vehicle.parameter import specifications, values
@@ -63,10 +64,11 @@ class ParameterDraws:
         self._high = column([bounds[name].high for name in self.names])
         self.values = self._nominal.expand(-1, count).clone()  # (P, N)
 
-    def draw(self, cars: Tensor, dice: Dice) -> None:
-        """Draw new parameters for the cars of these numbers (K,)."""
+    def draw(self, chosen: Chosen, dice: Dice) -> None:
+        """Draw new parameters for some cars."""
+        cars = chosen.cars
         if not self.names or not len(cars):
             return
         noise = dice.normal(len(self.names), cars)
         fresh = (self._nominal * (1.0 + self.sigma * noise)).clamp(self._low, self._high)
-        self.values = self.values.index_copy(1, cars, fresh)
+        self.values = chosen.put(self.values, fresh)

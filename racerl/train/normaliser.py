@@ -42,3 +42,10 @@ class Normaliser:
     def _scale(self) -> tuple[Tensor, Tensor]:
         constant = self.variance < CONSTANT
         return self.mean.masked_fill(constant, 0.0), self.variance.sqrt().masked_fill(constant, 1.0)
+
+
+def moments(observations: Tensor) -> tuple[Tensor, Tensor, int]:
+    """Return mean (O,), variance (O,) and number of observations (T, N, O)."""
+    flat = observations.flatten(0, 1)
+    mean = flat.mean(dim=0)
+    return mean, (flat - mean).square_().mean(dim=0), len(flat)

@@ -20,13 +20,15 @@ from torch import Tensor, nn
 from racerl.env.adapters.sb3 import RaceVecEnv
 from racerl.env.race import Race
 from racerl.errors import ConfigError
-from racerl.train.normaliser import Normaliser
+from racerl.train.normaliser import Normaliser, moments
+from racerl.train.products import fast_products
 from racerl.train.rollout import Minibatch, Rollout
 
 KL_STEP = 1.3  # factor by which the actor's learning rate follows the KL divergence
 KL_LARGEST = 2.0  # times the target, beyond which the actor rests until the next rollout
 ADAM_EPSILON = 1e-5  # Stable-Baselines3's
 LOWEST_RATE = 0.001  # of the scheduled learning rate
+JUDGED_AT_ONCE = 16_384  # observations, so that the layers' outputs stay small
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,7 @@ class Budget:
     final_std: float | None = None  # falls to it exponentially; None: it is learned
     target_kl: float | None = None  # the actor's learning rate follows it, below the schedule; None: the schedule alone
     normalise: bool = False  # observations by their running mean and deviation
+    bf16: bool = False  # networks in bf16 during the update, on processors that multiply it faster
     actor: tuple[int, ...] = (256, 256)
     critic: tuple[int, ...] = (512, 512)
     evaluations: int = 20  # evenly over the training
@@ -128,30 +131,39 @@ class RacePPO(PPO):
         callback.on_rollout_start()
         self.policy.set_training_mode(False)
         self._set_noise()
-        observation = self.race.observe()
-        rollout = self.rollout
+        observation, rollout, actor = self.race.observe(), self.rollout, self.actor()
         with torch.no_grad():
+            noise = self.policy.log_std.exp() * torch.randn_like(rollout.actions)
             for t in range(n_rollout_steps):
-                seen = self._seen(observation)
-                mean = self._mean(seen)
-                action = mean + self.policy.log_std.exp() * torch.randn_like(mean)
-                value, log_prob = self._value(seen), self._log_prob(mean, action)
+                action = actor(observation) + noise[t]
                 step = self.race.step(action)
                 rollout.observations[t], rollout.actions[t] = observation, action
-                rollout.values[t], rollout.log_probs[t] = value.flatten(), log_prob
                 rollout.rewards[t] = step.reward + self._time_out_value(step.truncated, step.final_observation)
-                rollout.continues[t] = 1.0 - (step.terminated | step.truncated).float()
+                rollout.ended[t] = step.terminated | step.truncated
                 observation = step.observation
                 self.num_timesteps += self.race.count
                 if not callback.on_step():
                     return False
+            self._moments = moments(rollout.observations)
+            rollout.observations.copy_(self._seen(rollout.observations))
+            self._judge()
             rollout.estimate(self._values(observation), self.gamma, self.gae_lambda)
         callback.on_rollout_end()
         return True
 
+    def _judge(self) -> None:
+        """Fill in values and action densities of a rollout whose observations are as the networks see them."""
+        rollout = self.rollout
+        parts = max(1, JUDGED_AT_ONCE // rollout.cars)
+        tables = (rollout.observations, rollout.actions, rollout.values, rollout.log_probs)
+        with fast_products(self.device, self.budget.bf16):
+            for seen, actions, values, log_probs in zip(*(table.split(parts) for table in tables), strict=True):
+                values.copy_(self._value(seen).squeeze(-1))
+                log_probs.copy_(self._log_prob(self._mean(seen), actions))
+
     def _time_out_value(self, truncated: Tensor, final: Tensor) -> Tensor:
         """Return γ·V of the final observation where an episode was cut off, else 0; shape (N,)."""
-        if not bool(truncated.any()):
+        if self.race.waits and not bool(truncated.any()):
             return torch.zeros_like(truncated, dtype=final.dtype)
         return self.gamma * self._values(final) * truncated
 
@@ -165,9 +177,9 @@ class RacePPO(PPO):
         return values.flatten()
 
     def _log_prob(self, mean: Tensor, actions: Tensor) -> Tensor:
-        """Return the log density (N,) of actions, normally distributed around their mean."""
+        """Return the log density (…) of actions (…, 2), normally distributed around their mean."""
         log_std = self.policy.log_std
-        return -(0.5 * ((actions - mean) * (-log_std).exp()) ** 2 + log_std + 0.5 * math.log(2 * math.pi)).sum(dim=1)
+        return -(0.5 * ((actions - mean) * (-log_std).exp()) ** 2 + log_std + 0.5 * math.log(2 * math.pi)).sum(dim=-1)
 
     def _set_noise(self) -> None:
         """Put the action noise where the schedule wants it."""
@@ -182,23 +194,21 @@ class RacePPO(PPO):
         """Update actor and critic from the rollout."""
         self.policy.set_training_mode(True)
         self._update_learning_rate(self.policy.optimizer)
-        observations = self.rollout.observations
-        moments = observations.mean(dim=(0, 1)), observations.var(dim=(0, 1)), observations[..., 0].numel()
-        observations.copy_(self._seen(observations))
         actor, critic = self.policy.optimizer.param_groups
         scheduled = critic["lr"]
         actor["lr"] = scheduled * self.rate_factor
         sums: dict[str, Tensor] = {}
         count, resting = 0, False
-        for _ in range(self.n_epochs):
-            for batch in self.rollout.minibatches(self.batch_size, self.shuffle):
-                measures, resting = self._update(batch, resting)
-                count += 1
-                for name, value in measures.items():
-                    sums[name] = sums.get(name, torch.zeros_like(value)) + value
+        with fast_products(self.device, self.budget.bf16):
+            for _ in range(self.n_epochs):
+                for batch in self.rollout.minibatches(self.batch_size, self.shuffle):
+                    measures, resting = self._update(batch, resting)
+                    count += 1
+                    for name, value in measures.items():
+                        sums[name] = sums.get(name, torch.zeros_like(value)) + value
         self._follow_divergence(resting, float(measures["approx_kl"]))
         self._n_updates += self.n_epochs
-        self.normaliser.update(*moments)
+        self.normaliser.update(*self._moments)
         for name, value in sums.items():
             self.logger.record(f"train/{name}", float(value) / count)
         residual = (self.rollout.returns - self.rollout.values).var()
@@ -220,7 +230,7 @@ class RacePPO(PPO):
         advantages = (batch.advantages - batch.advantages.mean()) / (batch.advantages.std() + 1e-8)
         clip = self.budget.clip
         policy_loss = -torch.minimum(advantages * ratio, advantages * ratio.clamp(1 - clip, 1 + clip)).mean()
-        value_loss = nn.functional.mse_loss(self._value(batch.observations).flatten(), batch.returns)
+        value_loss = nn.functional.mse_loss(self._value(batch.observations).flatten().float(), batch.returns)
         loss = self.vf_coef * value_loss
         if not resting:
             entropy = (self.policy.log_std + 0.5 * math.log(2 * math.pi * math.e)).sum()

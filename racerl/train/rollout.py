@@ -13,7 +13,6 @@ class Minibatch(NamedTuple):
     observations: Tensor
     actions: Tensor
     log_probs: Tensor
-    values: Tensor
     advantages: Tensor
     returns: Tensor
 
@@ -27,7 +26,7 @@ class Rollout:
 
         self.steps, self.cars = steps, cars
         self.observations, self.actions = table(observation_size), table(action_size)
-        self.rewards, self.values, self.log_probs, self.continues = table(), table(), table(), table()
+        self.rewards, self.values, self.log_probs, self.ended = table(), table(), table(), table()
         self.advantages, self.returns = table(), table()
 
     def estimate(self, last_value: Tensor, gamma: float, gae_lambda: float) -> None:
@@ -36,13 +35,14 @@ class Rollout:
         A_t = δ_t + γλ c_t A_{t+1},  δ_t = r_t + γ c_t V_{t+1} − V_t,  c_t = 0 where an episode ended, else 1.
         Time-outs have γ·V of their final observation added to r_t beforehand.
         """
+        continues = 1.0 - self.ended
+        ahead = torch.cat([self.values[1:], last_value[None]])
+        deltas = self.rewards + gamma * continues * ahead - self.values
+        decays = gamma * gae_lambda * continues
         advantage = torch.zeros_like(last_value)
-        following = last_value
         for t in reversed(range(self.steps)):
-            delta = self.rewards[t] + gamma * self.continues[t] * following - self.values[t]
-            advantage = delta + gamma * gae_lambda * self.continues[t] * advantage
+            advantage = torch.addcmul(deltas[t], decays[t], advantage)
             self.advantages[t] = advantage
-            following = self.values[t]
         self.returns = self.advantages + self.values
 
     def minibatches(self, size: int, generator: torch.Generator) -> Iterator[Minibatch]:
@@ -51,7 +51,6 @@ class Rollout:
             self.observations,
             self.actions,
             self.log_probs,
-            self.values,
             self.advantages,
             self.returns,
         )
@@ -61,4 +60,4 @@ class Rollout:
         size = min(size, total)
         for first in range(0, total - size + 1, size):
             chosen = order[first : first + size]
-            yield Minibatch(*(table[chosen] for table in flat))
+            yield Minibatch(*(table.index_select(0, chosen) for table in flat))

@@ -3,6 +3,8 @@
 import dataclasses
 import logging
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import pytest
 import torch
@@ -30,6 +32,19 @@ def place(race: Race, s: float, n: float = 0.0, speed: float = 2.0, heading: flo
     race.command = torch.stack([torch.zeros_like(x), torch.full_like(x, speed)])
     race.place, _ = race.frame.locate(x, y, yaw + heading, column)
     race.travelled = race.s.double()
+
+
+@contextmanager
+def nothing_waits() -> Iterator[None]:
+    """Fail where the host asks for a number: on a GPU it would wait for it."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("the host waits for the device")
+
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("__bool__", "__int__", "__float__", "__index__", "item", "tolist", "nonzero", "numpy"):
+            patch.setattr(torch.Tensor, name, refuse)
+        yield
 
 
 def test_cars_start_anywhere_on_the_centreline_along_it():
@@ -117,6 +132,38 @@ def test_a_nan_in_one_car_starts_it_over_and_reaches_nobody(poison, caplog):
     assert float(step.reward[2]) == 0.0 and bool(step.terminated[2])
     healthy = [0, 1, 3, 4]
     assert torch.equal(step.observation[healthy], other.observation[healthy])
+
+
+def test_a_race_that_does_not_wait_is_the_same_race():
+    """As on a GPU: cars start over by mask, and the device is not asked which."""
+    overrides = ("dr=friction_0.02", "+vehicle/effect=[pose_latency,steering_delay]", "sim.max_steps=40")
+    usual, blind = (make(*overrides, cars=64) for _ in range(2))
+    blind.waits = False
+    first = torch.ones(64, dtype=torch.bool)  # cars in their first episode: later ones have other dice
+    generator = torch.Generator().manual_seed(0)
+    for _ in range(60):
+        action = torch.rand(64, 2, generator=generator) * 2 - 1
+        expected = usual.step(action)
+        with nothing_waits():
+            got = blind.step(action)
+        over = got.terminated | got.truncated
+        for name in ("final_observation", "reward", "terminated", "truncated", "margin", "progress"):
+            assert torch.equal(getattr(got, name)[first], getattr(expected, name)[first])
+        assert torch.equal(got.observation[~over], got.final_observation[~over])
+        assert (blind.age[over] == 0).all() and (blind.n[over].abs() < 1e-4).all()
+        assert (blind.age[~over] > 0).all()
+        first &= ~over
+    assert not first.any() and len(blind.draws.values.unique()) == 64
+
+
+def test_a_race_that_does_not_wait_starts_a_faulty_car_over():
+    race = make(cars=5)
+    race.waits = False
+    race.state[4, 2] = float("nan")
+    with nothing_waits():
+        step = race.step(torch.zeros(5, 2))
+    assert step.faulty.tolist() == [False, False, True, False, False] and race.faults == 1
+    assert torch.isfinite(race.state).all() and torch.isfinite(step.observation).all()
 
 
 def test_nan_actions_are_no_actions():

@@ -5,6 +5,7 @@ import torch
 
 from racerl.assemble import build_race
 from racerl.config import compose_settings
+from racerl.env.chosen import Numbered
 from racerl.env.race import DELTA, OMEGA, V_X, YAW_RATE, View, X
 
 CARS = 5
@@ -57,7 +58,7 @@ def test_a_new_episode_begins_without_the_last_ones_past():
     race = race_with(pose_latency={"latency": 0.1})
     driven(race, 4)
     race.put(torch.tensor([2]), race.state[:, 4:5].clone(), race.command[:, 4:5].clone())
-    view = View.of(race, torch.tensor([2]))
+    view = View.of(race, Numbered(torch.tensor([2])))
     assert torch.allclose(view.v_x, race.v_x[2]) and torch.allclose(view.s, race.s[2], atol=1e-4)
     assert not torch.allclose(View.of(race, None).v_x[3], race.v_x[3])
 

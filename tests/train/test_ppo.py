@@ -46,7 +46,7 @@ def test_advantages_are_those_of_stable_baselines3():
     last = draw.normal(size=cars).astype(np.float32)
     buffer.compute_returns_and_advantage(torch.tensor(last), done[-1])
     rollout.rewards[:], rollout.values[:] = torch.tensor(rewards), torch.tensor(values)
-    rollout.continues[:] = 1.0 - torch.tensor(done[1:]).float()
+    rollout.ended[:] = torch.tensor(done[1:]).float()
     rollout.estimate(torch.tensor(last), gamma=0.97, gae_lambda=0.9)
     assert np.allclose(rollout.advantages.numpy(), buffer.advantages, atol=1e-5)
     assert np.allclose(rollout.returns.numpy(), buffer.returns, atol=1e-5)
@@ -56,7 +56,7 @@ def test_a_time_out_is_bootstrapped_and_an_end_is_not():
     model = learner(make("sim.max_steps=60", cars=64), rollout=128, initial_std=2.0)
     model.learn(64 * 128)
     rollout = model.rollout
-    cut = rollout.continues == 0
+    cut = rollout.ended == 1
     assert cut.any()
     # a car that was cut off got its progress plus γV; one that left the track got −1
     left = cut & (rollout.rewards == -1.0)

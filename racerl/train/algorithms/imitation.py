@@ -15,6 +15,7 @@ from racerl.assemble import build_race
 from racerl.control.policy import build_network
 from racerl.env.race import Race
 from racerl.errors import ConfigError
+from racerl.train.products import fast_products
 from racerl.train.session import Progress, Session, policy_of
 from racerl.train.teacher import Teacher
 
@@ -61,7 +62,8 @@ class Imitation:
         for number in range(self.rounds):
             reward = self._drive(race, teacher, network, 1.0 - number / HANDING_OVER, dice, seen, asked)
             last = number == self.rounds - 1
-            loss = self._fit(network, optimizer, torch.cat(seen), torch.cat(asked), last, dice)
+            with fast_products(session.device):
+                loss = self._fit(network, optimizer, torch.cat(seen), torch.cat(asked), last, dice)
             steps = (number + 1) * self.cars * self.steps
             if last or number % EXAMINED_EVERY == EXAMINED_EVERY - 1:
                 # one flying lap from a standing start says little of the pace: the policy that has seen most is kept
@@ -124,7 +126,7 @@ class Imitation:
             falling = 1.0 - (1.0 - LAST_RATE) * update / count if last else 1.0
             optimizer.param_groups[0]["lr"] = self.learning_rate * falling
             chosen = torch.randint(0, len(seen), (self.batch,), generator=dice)
-            answer, target = network(seen[chosen]), asked[chosen]
+            answer, target = network(seen.index_select(0, chosen)), asked.index_select(0, chosen)
             beyond = (target.abs() >= LARGEST) & (answer * target.sign() > LARGEST)
             loss = ((answer - target) ** 2).masked_fill(beyond, 0.0).mean()
             optimizer.zero_grad()

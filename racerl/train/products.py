@@ -1,0 +1,32 @@
+"""How networks multiply matrices while they learn."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import torch
+
+NATIVE = ("avx512_bf16", "amx_bf16")  # instructions that make bf16 the faster choice
+
+
+@contextmanager
+def fast_products(device: torch.device, bf16: bool = False) -> Iterator[None]:
+    """Let torch multiply by oneDNN instead of the vendor's library, which is slow on other vendors' processors.
+
+    Numbers stay in single precision, unless a processor has matrix units for less. With `bf16` products are taken in
+    bf16 where the device has instructions for it; weights, losses and the optimizer's state keep single precision.
+    """
+    before = torch.get_float32_matmul_precision()
+    torch.set_float32_matmul_precision("medium")
+    try:
+        with torch.autocast(device.type, torch.bfloat16, enabled=bf16 and has_bf16(device)):
+            yield
+    finally:
+        torch.set_float32_matmul_precision(before)
+
+
+def has_bf16(device: torch.device) -> bool:
+    """Return whether the device multiplies bf16 by instructions of its own."""
+    if device.type == "cuda":
+        return torch.cuda.is_bf16_supported(including_emulation=False)
+    found = torch.cpu.get_capabilities()
+    return any(found.get(name, False) for name in NATIVE)
