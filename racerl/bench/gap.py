@@ -80,6 +80,7 @@ def outcome(case: str, key: dict[str, Any], verdict: dict[str, Any], seconds: fl
         "verdict": verdict["verdict"],
         "found": found,
         "rivals": verdict["ambiguous_with"],
+        "separable": set(truth) <= set(verdict["separable"]),  # declared before anything is named
         "explained": verdict["gap"]["explained"] if verdict["gap"] else None,
         "errors": {name: abs(p["value"] / value - 1.0) for name, p, value in _shared(key, verdict) if value},
         "inside": {name: p["ci95"][0] <= value <= p["ci95"][1] for name, p, value in _shared(key, verdict)},
@@ -121,6 +122,7 @@ def scores(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     shares: dict[str, tuple[Sequence[dict[str, Any]], Callable[[dict[str, Any]], bool]]] = {
         "right name, medium and large effects on excitation logs": (strong, right),
         "right name, all single effects": (single, right),
+        "right name, where the data are declared to tell": ([row for row in single if row["separable"]], right),
         "right name, race laps": ([row for row in single if row["programme"] == "race"], right),
         "truth in the reported set": (single, contained),
         "wrong single name": (rows, wrong_name),

@@ -22,7 +22,7 @@ from racerl.gap.locate import locate
 from racerl.gap.name import Decision, intervals, name_effects
 from racerl.gap.prove import prove
 from racerl.gap.stage import CHAIN, Stage, stages
-from racerl.gap.verdict import Verdict, judge
+from racerl.gap.verdict import Verdict, judge, separable
 from racerl.identify.document import write_model
 from racerl.identify.unknowns import choose_unknowns
 from racerl.run import RunFolder
@@ -170,6 +170,7 @@ def _steps(
         "gap": proof["gap"],
         "worse": proof["worse"],
         "blind_to": list(verdict.blind),
+        "separable": list(separable(decision.score)),
         "residual": None,
         **told,
     }
@@ -265,6 +266,7 @@ def _silent(logs: Sequence[Log]) -> dict[str, Any]:
         "gap": None,
         "worse": [],
         "blind_to": list(catalogue.names()),
+        "separable": [],
         "residual": None,
     }
 

@@ -16,13 +16,12 @@ from racerl.documents import write_json
 from racerl.errors import LogError
 from racerl.gap.diagnose import check, cut, excitations, investigate
 from racerl.gap.score import Score
-from racerl.gap.verdict import SHOWS
+from racerl.gap.verdict import SHOWS, TWINS
 from racerl.record.record import Plan, table
 from racerl.run import Compose, RunFolder
 from racerl.vehicle.load import load_vehicle
 
 PLAN = "plan.json"
-ALIKE = 0.95  # |cosine| above which two effects cannot be told apart by a linear test
 NEXT = 5  # manoeuvres that are proposed
 SECONDS = 300  # of the programme, where no log is given
 
@@ -68,7 +67,7 @@ def telling(score: Score) -> dict[str, Any]:
         {"effects": [score.names[i], score.names[j]], "cosine": float(cosines[i, j])}
         for n, i in enumerate(seen)
         for j in seen[n + 1 :]
-        if abs(cosines[i, j]) > ALIKE
+        if abs(cosines[i, j]) > TWINS
     ]
     alike.sort(key=lambda row: -abs(row["cosine"]))
     dark = [score.names[i] for i in range(len(shown)) if i not in seen]

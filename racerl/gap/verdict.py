@@ -26,6 +26,7 @@ COARSE = 30.0  # excess over the noise's cost, beyond which noise is no yardstic
 ALIKE = 3.0  # standard errors that a rival may be behind
 EQUAL = 0.05  # share of the excess that a rival may explain less
 SHOWS = 30.0  # first-order gain, a χ², at its usual size that makes an effect show
+TWINS = 0.95  # |cosine| above which a linear test cannot tell two effects apart
 MOST = 0.5  # share of the catalogue that a log must be able to show
 
 
@@ -121,3 +122,13 @@ def hidden(score: Score) -> tuple[str, ...]:
     """Return the effects that would not show at their usual size."""
     shown = np.diag(score.H)
     return tuple(name for name, gain in zip(score.names, shown, strict=True) if gain < SHOWS)
+
+
+def separable(score: Score) -> tuple[str, ...]:
+    """Return the effects that would show at their usual size and look like no other that does."""
+    dark, cosines = hidden(score), np.abs(score.cosines())
+    shown = np.array([name not in dark for name in score.names])
+    twins = (cosines > TWINS) & shown & ~np.eye(len(shown), dtype=bool)
+    return tuple(
+        name for name, seen, twin in zip(score.names, shown, twins.any(axis=1), strict=True) if seen and not twin
+    )

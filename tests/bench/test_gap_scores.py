@@ -5,7 +5,7 @@ import pytest
 from racerl.bench.gap import by_verdict, confusion, detection, outcome, right, scores, share, wrong_name
 
 
-def case(truth, verdict, found=(), rivals=(), kind="single", size="medium", programme="excitation"):
+def case(truth, verdict, found=(), rivals=(), kind="single", size="medium", programme="excitation", tells=("a",)):
     key = {
         "effects": [
             {"name": name, "size": size, "parameters": {"delay": 0.04}, "units": {"delay": "s"}} for name in truth
@@ -19,6 +19,7 @@ def case(truth, verdict, found=(), rivals=(), kind="single", size="medium", prog
         "verdict": verdict,
         "effects": [{"name": n, "parameters": {"delay": delay}} for n in found],
         "ambiguous_with": list(rivals),
+        "separable": list(tells),
         "gap": {"explained": 0.9},
     }
     return outcome("c", key, told, 10.0)
@@ -37,7 +38,7 @@ def test_scores_count_what_was_said():
         case(["a"], "named", ["a"]),
         case(["a"], "ambiguous", ["b"], ["a"]),
         case(["a"], "named", ["b"], size="small"),
-        case(["a"], "none", programme="race"),
+        case(["a"], "none", programme="race", tells=("b",)),
         case([], "none", kind="clean"),
         case([], "ambiguous", ["a"], kind="clean"),
         case(["x"], "unknown", kind="unlisted"),
@@ -48,6 +49,7 @@ def test_scores_count_what_was_said():
     assert counts == {
         "right name, medium and large effects on excitation logs": (1, 2),
         "right name, all single effects": (1, 4),
+        "right name, where the data are declared to tell": (1, 3),
         "right name, race laps": (0, 1),
         "truth in the reported set": (2, 4),
         "wrong single name": (1, 8),

@@ -18,7 +18,7 @@ from racerl.gap.plan import plan, telling
 from racerl.gap.prove import explained
 from racerl.gap.score import Score
 from racerl.gap.stage import stages
-from racerl.gap.verdict import Verdict, equals, judge
+from racerl.gap.verdict import Verdict, equals, judge, separable
 from racerl.report.gap_page import draw_gap
 from racerl.vehicle import catalogue
 from racerl.vehicle.load import load_vehicle
@@ -276,6 +276,15 @@ def test_a_plan_asks_for_what_is_dark_and_for_what_looks_alike():
     assert [name for name, effect in told["effects"].items() if not effect["shows"]] == ["friction_fade"]
     wanted = {name for row in told["next"] for name in row["for"]}
     assert wanted == {"aero_drag", "viscous_drag", "friction_fade"}
+
+
+def test_what_shows_and_looks_like_no_other_is_separable():
+    names = ["aero_drag", "viscous_drag", "friction_fade", "steering_delay", "downforce"]
+    H = np.diag([900.0, 900.0, 1.0, 400.0, 400.0])
+    H[0, 1] = H[1, 0] = -0.97 * 900.0
+    H[2, 3] = H[3, 2] = 0.97 * 20.0  # what does not show stands in nobody's way
+    H[3, 4] = H[4, 3] = 0.9 * 400.0
+    assert separable(Score(names, H, np.zeros(5))) == ("steering_delay", "downforce")
 
 
 def test_the_next_manoeuvre_is_what_would_decide():
