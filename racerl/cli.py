@@ -430,15 +430,20 @@ def _close(settings: "Settings", out: Path) -> None:
     console = _console()
     with Bar(console, "close") as bar:
         facts = close(settings, out, compose_settings, bar.show)
-    table = Table("policy", "mean lap [s]", "fastest [s]", "E_off [m s]", "crashes", "valid laps")
-    for kind, row in facts["policies"].items():
-        times = ["none" if row[k] is None else f"{row[k]:.3f}" for k in ("mean_lap_s", "fastest_valid_lap_s")]
-        valid = f"{row['valid_laps']} of {row['laps']}"
-        table.add_row(kind, *times, f"{row['e_off']:.5f}", f"{row['crash_share']:.0%}", valid)
+    table = Table("policy", "seed", "mean lap [s]", "fastest [s]", "E_off [m s]", "crashes", "valid laps")
+    for kind, policy in facts["policies"].items():
+        for row in policy["trainings"]:
+            times = ["none" if row[k] is None else f"{row[k]:.3f}" for k in ("mean_lap_s", "fastest_valid_lap_s")]
+            valid = f"{row['valid_laps']} of {row['laps']}"
+            table.add_row(kind, str(row["seed"]), *times, f"{row['e_off']:.5f}", f"{row['crash_share']:.0%}", valid)
     console.print(table)
-    share = facts["recovered"]
-    gained = "the oracle gains nothing over the old policy" if share is None else f"{share:.0%} of the oracle's gain"
-    console.print(f"with {', '.join(facts['effects'])}: {gained}; numbers in {out / RESULT}", highlight=False)
+    told = {"mean_lap_s": "lap time", "e_off": "E_off", "crash_share": "crashes"}
+    gained = [
+        f"{told[measure]}: " + ("the oracle gains nothing" if share is None else f"{share:.0%} of the oracle's gain")
+        for measure, share in facts["recovered"].items()
+    ]
+    line = f"with {', '.join(facts['effects'])}: {'; '.join(gained)}; numbers in {out / RESULT}"
+    console.print(line, highlight=False, soft_wrap=True)
 
 
 def _plan(settings: "Settings", out: Path) -> None:

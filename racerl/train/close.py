@@ -1,13 +1,16 @@
 """`racerl gap close`: three policies race in the car that the log came from.
 
-`old` was trained on the refitted vehicle without the effects found, `new` with them, `oracle` on the car itself. Of the
-oracle's gain in lap time, naming the effect recovered the share (old − new)/(old − oracle).
+`old` was trained on the refitted vehicle without the effects found, `new` with them, `oracle` on the car itself, each
+several times. Of the oracle's gain, in lap time, in leaving the track or in crashes, naming the effect recovered the
+share (old − new)/(old − oracle), of the trainings' means.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
+from racerl import bounds
 from racerl.data.load import load_given
 from racerl.documents import read_json, write_json
 from racerl.errors import ConfigError
@@ -19,7 +22,8 @@ from racerl.train.train import train
 from racerl.vehicle.load import load_vehicle
 
 RESULT = "close.json"
-SHOWN = ("mean_lap_s", "fastest_valid_lap_s", "e_off", "crash_share", "laps", "valid_laps")
+MEASURES = ("mean_lap_s", "e_off", "crash_share")  # less is better
+SHOWN = (*MEASURES, "fastest_valid_lap_s", "laps", "valid_laps")
 
 
 def close(
@@ -36,6 +40,7 @@ def close(
     finished = len(logs) == 1 and Path(logs[0]).is_dir()
     diagnosis = compose("gap", [f"logs={logs}", f"threads={settings['threads']}", *map(str, settings["gap"])])
     words = [*map(str, settings["train"]), f"threads={settings['threads']}"]
+    trainings = _trainings(settings)
     # what cannot be read is told before anything is written
     load_vehicle(compose("train", [f"vehicle={settings['real']}", *words])["vehicle"])
     if finished:
@@ -48,25 +53,42 @@ def close(
         gap(diagnosis, found, lambda what, share: on_progress(0.0, what))
     verdict = _verdict(found)
     cars = {"old": found / MODEL_BEFORE, "new": found / MODEL, "oracle": settings["real"]}
-    rows = {}
-    for i, (kind, car) in enumerate(cars.items()):
-        on_progress(i / 3, f"{kind}: training")
-        trained, raced = folder.path / kind, folder.path / f"{kind}_race"
+    rows: dict[str, list[dict[str, Any]]] = {kind: [] for kind in cars}
+    jobs = [(seed, kind) for seed in trainings for kind in cars]
+    for i, (seed, kind) in enumerate(jobs):
+        on_progress(i / len(jobs), f"{kind}, seed {seed}: training")
+        trained, raced = folder.path / f"{kind}_{seed}", folder.path / f"{kind}_{seed}_race"
         if not is_complete(trained):
-            train(compose("train", [f"vehicle={car}", *words]), trained)
-        on_progress((i + 0.7) / 3, f"{kind}: racing")
+            train(compose("train", [f"vehicle={cars[kind]}", f"seed={seed}", *words]), trained)
+        on_progress((i + 0.7) / len(jobs), f"{kind}, seed {seed}: racing")
         if not is_complete(raced):
             race = [f"run={trained}", f"vehicle={settings['real']}", f"laps={settings['laps']}"]
             evaluate(compose("evaluate", [*race, f"seeds={list(settings['seeds'])}"]), raced)
-        rows[kind] = {key: read_json(raced / METRICS)[key] for key in SHOWN}
+        rows[kind].append({"seed": seed, **{key: read_json(raced / METRICS)[key] for key in SHOWN}})
     facts = {
         "effects": [effect["name"] for effect in verdict["effects"]],
-        "policies": rows,
-        "recovered": recovered(*(rows[kind]["mean_lap_s"] for kind in cars)),
+        "policies": {kind: {**means(each), "trainings": each} for kind, each in rows.items()},
+    }
+    facts["recovered"] = {
+        measure: recovered(*(facts["policies"][kind][measure] for kind in cars)) for measure in MEASURES
     }
     write_json(folder.path / RESULT, facts)
     folder.finish()
     return facts
+
+
+def means(trainings: Sequence[Mapping[str, Any]]) -> dict[str, float | None]:
+    """Return the mean of every measure over trainings; None where one has no lap to take it from."""
+    columns = {measure: [row[measure] for row in trainings] for measure in MEASURES}
+    return {measure: None if None in column else fmean(column) for measure, column in columns.items()}
+
+
+def _trainings(settings: Mapping[str, Any]) -> list[int]:
+    """Return the seeds that the policies are trained with; raise ConfigError when they are none or alike."""
+    seeds = bounds.wholes("trainings", settings["trainings"], 0, 2**31)
+    if not seeds or len(set(seeds)) < len(seeds):
+        raise ConfigError(f"trainings = {seeds}: a list of different seeds is expected, such as [0,1,2]")
+    return seeds
 
 
 def _verdict(run: Path) -> dict[str, Any]:
@@ -78,7 +100,7 @@ def _verdict(run: Path) -> dict[str, Any]:
 
 
 def recovered(old: float | None, new: float | None, oracle: float | None) -> float | None:
-    """Return the share of the oracle's gain; None where a policy has no valid lap, or the oracle gains nothing."""
+    """Return the share of the oracle's gain; None where a policy has no such measure, or the oracle gains nothing."""
     if old is None or new is None or oracle is None or old <= oracle:
         return None
     return (old - new) / (old - oracle)

@@ -9,7 +9,7 @@ from racerl.config import compose_settings
 from racerl.documents import write_json
 from racerl.errors import ConfigError, LogError, RacerlError, RunError
 from racerl.run import RunFolder
-from racerl.train.close import close, recovered
+from racerl.train.close import close, means, recovered
 
 
 @pytest.fixture
@@ -25,7 +25,15 @@ def diagnosed(tmp_path):
 
 
 def settings_of(run, **changes):
-    words = [f"logs=['{run}']", "real=published", "train=['budget=smoke']", "laps=1", "seeds=[0]", "threads=1"]
+    words = [
+        f"logs=['{run}']",
+        "real=published",
+        "train=['budget=smoke']",
+        "laps=1",
+        "seeds=[0]",
+        "trainings=[0]",
+        "threads=1",
+    ]
     return {**compose_settings("close", words), **changes}
 
 
@@ -34,11 +42,11 @@ def test_three_policies_race_in_one_car_and_a_second_start_goes_on(diagnosed, tm
     facts = close(settings_of(diagnosed), tmp_path / "out", compose_settings, lambda share, what: heard.append(what))
     assert list(facts["policies"]) == ["old", "new", "oracle"] and facts["effects"] == ["aero_drag"]
     assert json.loads((tmp_path / "out" / "close.json").read_text()) == facts
-    assert heard == [f"{kind}: {what}" for kind in ("old", "new", "oracle") for what in ("training", "racing")]
+    assert heard == [f"{kind}, seed 0: {what}" for kind in ("old", "new", "oracle") for what in ("training", "racing")]
     masses = {}
     for kind in facts["policies"]:
-        trained = RunFolder.open_complete(tmp_path / "out" / kind, "train").settings()["vehicle"]
-        raced = RunFolder.open_complete(tmp_path / "out" / f"{kind}_race", "evaluate").settings()["vehicle"]
+        trained = RunFolder.open_complete(tmp_path / "out" / f"{kind}_0", "train").settings()["vehicle"]
+        raced = RunFolder.open_complete(tmp_path / "out" / f"{kind}_0_race", "evaluate").settings()["vehicle"]
         masses[kind] = trained.get("file", trained.get("mass")), raced["mass"]
     assert {raced for _, raced in masses.values()} == {5.1} and masses["oracle"][0] == 5.1
     assert str(masses["old"][0]).endswith("model_before.yaml") or masses["old"][0] == 5.0
@@ -78,6 +86,20 @@ def test_without_an_effect_there_is_nothing_to_train_with(diagnosed, tmp_path):
     with pytest.raises(ConfigError, match="verdict is none"):
         close(settings_of(diagnosed), tmp_path / "out", compose_settings)
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("trainings", [[], [0, 0], [-1], "0"])
+def test_trainings_must_be_different_seeds(diagnosed, tmp_path, trainings):
+    with pytest.raises(ConfigError, match="trainings"):
+        close(settings_of(diagnosed, trainings=trainings), tmp_path / "out", compose_settings)
+    assert not (tmp_path / "out").exists()
+
+
+def test_measures_are_means_over_trainings_that_all_have_them():
+    one = {"mean_lap_s": 6.0, "e_off": 0.2, "crash_share": 1.0}
+    other = {"mean_lap_s": 5.0, "e_off": 0.0, "crash_share": 0.0}
+    assert means([one, other]) == {"mean_lap_s": 5.5, "e_off": pytest.approx(0.1), "crash_share": 0.5}
+    assert means([{**one, "mean_lap_s": None}, other])["mean_lap_s"] is None
 
 
 def test_the_share_of_the_oracles_gain():
