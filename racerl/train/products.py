@@ -18,7 +18,8 @@ def fast_products(device: torch.device, bf16: bool = False) -> Iterator[None]:
     before = torch.get_float32_matmul_precision()
     torch.set_float32_matmul_precision("medium")
     try:
-        with torch.autocast(device.type, torch.bfloat16, enabled=bf16 and has_bf16(device)):
+        # nothing cached: weights change between one minibatch and the next
+        with torch.autocast(device.type, torch.bfloat16, enabled=bf16 and has_bf16(device), cache_enabled=False):
             yield
     finally:
         torch.set_float32_matmul_precision(before)

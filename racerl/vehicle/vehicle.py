@@ -25,7 +25,7 @@ from racerl.vehicle.parameter import parameter
 
 GRAVITY = 9.81  # m/s²
 STATE = ("x", "y", "yaw", "v_x", "v_y", "yaw_rate", "delta", "omega")
-COMMAND = ("delta_ref", "drive")
+COMMAND = ("delta_ref", "drive_ref")
 
 
 class Tyre(Protocol):

@@ -9,6 +9,7 @@ from stable_baselines3.common.logger import configure
 from racerl.errors import ConfigError
 from racerl.registry import construct
 from racerl.train.ppo import Budget, RacePPO, actor_of
+from racerl.train.products import has_bf16
 from racerl.train.rollout import Rollout
 from tests.env.test_race import make
 
@@ -86,9 +87,12 @@ def mean_reward(model, steps):
 QUICK = {"normalise": True, "target_kl": 0.02, "batch": 256}
 
 
-def test_a_policy_improves():
+@pytest.mark.parametrize("bf16", [False, True])
+def test_a_policy_improves(bf16):
+    if bf16 and not has_bf16(torch.device("cpu")):
+        pytest.skip("this processor has no instructions for bf16")
     # a car that beginners get along with; the default one takes longer than a test has
-    first, last = mean_reward(learner(make("vehicle=published", cars=64), **QUICK), 60_000)
+    first, last = mean_reward(learner(make("vehicle=published", cars=64), bf16=bf16, **QUICK), 60_000)
     assert last > first + 0.02
 
 

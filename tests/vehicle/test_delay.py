@@ -58,6 +58,20 @@ def test_the_race_delays_steering_by_so_many_seconds():
     assert late[1:] == pytest.approx(prompt[:-1], rel=1e-4)
 
 
+def test_the_race_delays_the_drive_by_so_many_seconds():
+    def wheel_speeds(*overrides):
+        built = race(*overrides)
+        built.reset()
+        return np.array(
+            [float(built.step(torch.tensor([[0.0, 1.0]]).expand(3, 2)) and built.omega[0]) for _ in range(6)]
+        )
+
+    prompt = wheel_speeds()
+    late = wheel_speeds("+vehicle/effect=drive_delay", "vehicle.effects.drive_delay.delay=0.05")
+    assert prompt[0] > late[0] + 0.01
+    assert late[1:] == pytest.approx(prompt[:-1], rel=1e-3)
+
+
 def test_a_part_of_a_period_lies_between():
     none, half, whole = (
         steered(race("+vehicle/effect=steering_delay", f"vehicle.effects.steering_delay.delay={delay}"))[1]

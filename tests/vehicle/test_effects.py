@@ -12,7 +12,7 @@ from racerl.vehicle import catalogue
 from racerl.vehicle.effects.learned_residual import LearnedResidual
 from racerl.vehicle.integrate import advance
 from racerl.vehicle.ops import TORCH
-from racerl.vehicle.vehicle import STATE, Vehicle
+from racerl.vehicle.vehicle import COMMAND, STATE, Vehicle
 from tests.vehicle.conftest import make_car, random_states
 
 CONTRACT = (
@@ -310,6 +310,8 @@ def test_sensors_show_what_they_should():
 
 
 def test_delays_and_latencies_name_their_channels():
+    for name in catalogue.names():
+        assert set(with_effect(name).delays()) <= set(COMMAND)
     assert with_effect("steering_delay", delay=0.04).delays() == {"delta_ref": 0.04}
     assert with_effect("drive_delay", delay=0.03).delays() == {"drive_ref": 0.03}
     assert set(with_effect("pose_latency").latencies()) == {"x", "y", "yaw", "v_x", "v_y", "yaw_rate"}
