@@ -41,11 +41,14 @@ def test_kernel_follows_torch_for_100_steps(built_car, count):
     command = 0.5 * command
     state[3], state[7] = 3.0 + state[4], 3.0 + state[4]
     table = tables(built_car, names, count)
-    got = state.float()
+    got, rounded = state.float(), state.float()
     for _ in range(100):
         state, got = exact(state, command, table.double()), compiled(got, command.float(), table)
+        rounded = exact(rounded, command.float(), table)
     scale = state.abs().amax(dim=1, keepdim=True).clamp(min=1.0)
-    assert ((got - state).abs() / scale).max() < 2e-5
+    # all effects at once: torch in single precision is itself off by as much
+    rounding = float(((rounded - state).abs() / scale).max())
+    assert ((got - state).abs() / scale).max() < max(1e-5, 3.0 * rounding)
 
 
 @needs_compiler
