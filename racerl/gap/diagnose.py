@@ -188,13 +188,18 @@ def _residual(
     told: Mapping[str, Any],
 ) -> dict[str, Any] | None:
     """Write the vehicle with a learned residual if that helps; return what it explains."""
-    knowing = investigation.knowing({residual.NAME: [residual.limits(investigation)]})
-    facts, found = residual.learn(knowing, decision, settings["seed"])
+    facts, found = residual.learn(investigation, decision, settings["seed"])
     write_json(folder / RESIDUAL, facts)
-    if not facts["helps"]:
+    if not facts["effects"]:
         return None
     _write_vehicle(folder / RESIDUAL_MODEL, settings, told, investigation, found)
-    return {"name": residual.NAME, "explained": facts["explained"], "vehicle": RESIDUAL_MODEL}
+    kept = [step for step in facts["steps"] if step["kept"]]
+    return {
+        "name": " + ".join(facts["effects"]),
+        "explained": kept[-1]["explained"],
+        "terms": list(kept[0]["weights"]),
+        "vehicle": RESIDUAL_MODEL,
+    }
 
 
 def _once(path: Path, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:

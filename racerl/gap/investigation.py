@@ -112,6 +112,12 @@ class Investigation:
         other.catalogue, other.kernels = catalogue, self._kernels(catalogue)
         return other
 
+    def limited(self, limits: Mapping[str, tuple[float, float]]) -> "Investigation":
+        """Return the same logs and refitted vehicle with other limits of some effects' parameters."""
+        other = copy.copy(self)
+        other.limits = {**self.limits, **limits}
+        return other
+
     def _timed(self, stage: str) -> Evidence:
         """Return an actuator's evidence with its command as early as lets the vehicle reach the noise, where one does.
 
@@ -284,6 +290,11 @@ class Investigation:
         if found.fit.converged:
             return found
         return self._fit(found.effects, found.vehicle, found, NOMINAL, list(found.cost))
+
+    def again(self, found: Found, changes: Mapping[str, float]) -> Found:
+        """Return a fit over the same stages that starts from a fitted vehicle with some values changed."""
+        vehicle = replace_values(found.vehicle, changes)
+        return self._fit(found.effects, vehicle, found, NOMINAL, list(found.cost))
 
     def expected(self, found: Found, seed: int) -> dict[str, Array]:
         """Return the errors (T + 1, C, W) per stage that sensors' noise alone would leave in a right vehicle."""

@@ -1,58 +1,100 @@
 """What is offered where no known effect explains the gap: a bounded residual that is learned like any effect.
 
-Its weights have a prior around zero, so that what the data do not ask for stays small; it fades outside of what the log
-has seen; and it has no physical name.
+First a regression over a few terms, of which those stay whose weights are clearly off zero. Then a small network
+beside them, which stays if it helps on held-out windows. Weights have a prior around zero, so that what the data do not
+ask for stays small; both fade outside of what the log has seen; and they have no physical name.
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from racerl.gap.investigation import Found, Investigation, Screened, with_effect
-from racerl.gap.name import Decision, Judge
+from racerl.gap.name import WORTH, Decision, Judge, Scored, excess
+from racerl.vehicle.effects import Effect
+from racerl.vehicle.effects.learned_network import LearnedNetwork
 from racerl.vehicle.effects.learned_residual import LearnedResidual
 
-NAME = "learned_residual"
+TERMS, NETWORK = "learned_residual", "learned_network"
 CHANNELS = {"speed": ("v_x", "omega"), "steering": ("delta", "delta_ref"), "yaw_rate": ("yaw_rate",)}
 SEEN = 0.995  # quantile that counts as the greatest value seen
+SURE = 2.0  # deviations that a term's weight is off zero
+PRUNINGS = 4  # times that idle terms are taken out
 
 
-def limits(investigation: Investigation) -> LearnedResidual:
-    """Return the residual before learning, with the limits of what the logs show."""
+def limits(investigation: Investigation) -> dict[str, float]:
+    """Return the limits of what the logs show."""
     columns: Mapping[str, Any] = next(iter(investigation.evidence.values())).columns
     seen = {}
     for key, names in CHANNELS.items():
         channel = next((name for name in names if name in columns), None)
         if channel:
             seen[key] = max(float(np.quantile(np.abs(columns[channel]), SEEN)), 0.1)
-    return LearnedResidual(**seen)
+    return seen
 
 
 def learn(investigation: Investigation, decision: Decision, seed: int) -> tuple[dict[str, Any], Found]:
-    """Fit the residual beside the refitted vehicle; return what it explains on held-out windows, and the fit.
-
-    `investigation` is one whose catalogue holds the residual alone.
-    """
-    base = investigation.base
-    cost = investigation.held_out(base)
-    judge = Judge(investigation, np.random.default_rng(seed), cost)
-    vehicle = with_effect(base.vehicle, NAME, investigation.catalogue[NAME][0])
-    found = investigation.converged(investigation.add(base, Screened(NAME, vehicle, 0.0, "")))
-    scored = judge.score(NAME, found, cost)
-    weights = {
-        key.rpartition(".")[2]: value
-        for key, value in found.theta.items()
-        if key.startswith(f"effects.{NAME}.") and key.rpartition(".")[2] not in LearnedResidual.known
-    }
+    """Fit terms, then a network, to what the refitted vehicle leaves; return what they explain, and the fit."""
+    seen, base = limits(investigation), investigation.base
+    terms, network = LearnedResidual(**seen), LearnedNetwork(**seen)
+    knowing = investigation.knowing({TERMS: [terms]})
+    judge = Judge(knowing, np.random.default_rng(seed), knowing.held_out(base))
+    knowing, found = sparse(knowing, _with(knowing, base, TERMS, terms))
+    scored = replace(judge, investigation=knowing).score(TERMS, found, judge.first)
+    steps = [_step(judge, scored, found, scored.clear)]
+    if scored.clear:
+        knowing = knowing.knowing({TERMS: [terms], NETWORK: [network]})
+        more = _with(knowing, found, NETWORK, network)
+        scored = replace(judge, investigation=knowing).score(NETWORK, more, {**judge.first, **scored.cost})
+        kept = scored.clear and scored.worth > WORTH
+        steps.append(_step(judge, scored, more, kept))
+        found = more if kept else found
     facts = {
-        "helps": scored.clear,
-        "explained": float(np.clip(scored.explained, -1.0, 1.0)),
+        "effects": [step["name"] for step in steps if step["kept"]],
+        "steps": steps,
         "by_stage": {
-            name: {"before": float(cost[name].sum()), "after": float(part.sum()), "noise": investigation.floor[name]}
-            for name, part in scored.cost.items()
+            name: {"before": float(part.sum()), "noise": investigation.floor[name]}
+            for name, part in judge.first.items()
         },
-        "weights": weights,
         "beside": list(decision.chosen),
     }
     return facts, found
+
+
+def sparse(investigation: Investigation, found: Found) -> tuple[Investigation, Found]:
+    """Take out terms that may as well be zero and fit the others again, until none is idle."""
+    for _ in range(PRUNINGS):
+        deviations = investigation.deviations(found)
+        idle = [n for n, weight in weights(found, TERMS).items() if weight and abs(weight) < SURE * deviations[n]]
+        if not idle:
+            break
+        investigation = investigation.limited(dict.fromkeys(idle, (0.0, 0.0)))
+        found = investigation.again(found, dict.fromkeys(idle, 0.0))
+    return investigation, found
+
+
+def weights(found: Found, effect: str) -> dict[str, float]:
+    """Return a learned effect's weights by dotted name."""
+    known = LearnedResidual.known
+    mine = {name: value for name, value in found.theta.items() if name.startswith(f"effects.{effect}.")}
+    return {name: value for name, value in mine.items() if name.rpartition(".")[2] not in known}
+
+
+def _with(investigation: Investigation, base: Found, name: str, effect: Effect) -> Found:
+    """Return the fit with a learned effect more, carried on to its end."""
+    screened = Screened(name, with_effect(base.vehicle, name, effect), 0.0, "")
+    return investigation.converged(investigation.add(base, screened))
+
+
+def _step(judge: Judge, scored: Scored, found: Found, kept: bool) -> dict[str, Any]:
+    """Return what was learned in a step, and the share of the first excess that is gone after it."""
+    first, left = (excess(judge.investigation, cost) for cost in (judge.first, {**judge.first, **scored.cost}))
+    return {
+        "name": scored.name,
+        "kept": kept,
+        "explained": float(np.clip(1.0 - left / max(first, 1e-9), -1.0, 1.0)),
+        "after": {stage: float(part.sum()) for stage, part in scored.cost.items()},
+        "weights": {key.rpartition(".")[2]: value for key, value in weights(found, scored.name).items() if value},
+    }

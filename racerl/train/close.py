@@ -65,7 +65,7 @@ def close(
             race = [f"run={trained}", f"vehicle={settings['real']}", f"laps={settings['laps']}"]
             evaluate(compose("evaluate", [*race, f"seeds={list(settings['seeds'])}"]), raced)
         rows[kind].append({"seed": seed, **{key: read_json(raced / METRICS)[key] for key in SHOWN}})
-    facts = {
+    facts: dict[str, Any] = {
         "effects": [effect["name"] for effect in verdict["effects"]],
         "policies": {kind: {**means(each), "trainings": each} for kind, each in rows.items()},
     }

@@ -9,6 +9,7 @@ import torch
 
 from racerl.errors import ConfigError
 from racerl.vehicle import catalogue
+from racerl.vehicle.effects.learned_network import LearnedNetwork
 from racerl.vehicle.effects.learned_residual import LearnedResidual
 from racerl.vehicle.integrate import advance
 from racerl.vehicle.ops import TORCH
@@ -342,10 +343,17 @@ def test_an_effect_of_no_size_changes_nothing(name):
     assert torch.allclose(got, base, rtol=1e-9, atol=1e-12)
 
 
-def test_a_learned_residual_is_bounded_fades_where_nothing_was_seen_and_has_no_place_in_the_catalogue():
-    assert "learned_residual" not in catalogue.names()
-    weights = {"about_turn": 30.0, "ahead_one": 30.0, "servo_lead": 30.0, "drive_speed": -30.0}
-    known, wild = LearnedResidual(), LearnedResidual(**weights)
+WILD = {
+    LearnedResidual: ({"about_turn": 30.0, "ahead_one": 30.0, "servo_lead": 30.0, "drive_speed": -30.0}, 8),
+    LearnedNetwork: ({"ahead_0": 30.0, "about_1": 30.0, "about_2": -30.0}, 6),
+}
+
+
+@pytest.mark.parametrize("learned", WILD)
+def test_what_is_learned_is_bounded_fades_where_nothing_was_seen_and_has_no_place_in_the_catalogue(learned):
+    assert not {"learned_residual", "learned_network"} & set(catalogue.names())
+    weights, rows = WILD[learned]
+    known, wild = learned(), learned(**weights)
     plain = make_car("vehicle=published")
     state, command = random_states(plain, 200)
     base = plain.derivative(state, command, TORCH)
@@ -354,6 +362,9 @@ def test_a_learned_residual_is_bounded_fades_where_nothing_was_seen_and_has_no_p
     most = dataclasses.replace(plain, effects={"learned_residual": wild}).derivative(state, command, TORCH) - base
     limits = {"v_x": 3.0, "yaw_rate": 30.0, "delta": 3.0, "omega": 20.0}
     for name, limit in limits.items():
+        if ROW[name] >= rows:  # a network of forces leaves the actuators alone
+            assert torch.equal(most[ROW[name]], torch.zeros_like(most[0]))
+            continue
         assert 0.5 * limit < float(most[ROW[name]].abs().max()) <= limit * (1.0 + 1e-9)
     beyond = dataclasses.replace(wild, speed=0.1, steering=0.01, yaw_rate=0.1)
     away = state[3].abs() > 0.5

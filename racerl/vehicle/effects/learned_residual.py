@@ -2,16 +2,16 @@
 
 Formula: F_x/m, F_y/m and M_z/(10 J) gain A tanh(Σ c_k φ_k/A); φ_k constants and products of tanh(v_x/3), tanh(δ/0.2),
     tanh(r/3), tanh(v_y/0.5) and the slip ratio that keep left and right alike; δ̇ and ω̇ likewise of the command's lead.
-Source: a regression with a minimum-norm prior; nothing of it is meant to be understood.
+Source: a regression with a minimum-norm prior, of which the terms that the data ask for stay.
 In data: `racerl gap` offers it where its verdict is unknown.
 Excited by: whatever the log holds; beyond its greatest speed, steering and yaw rate it fades.
 Confused with: nothing, since it stands for everything.
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
-from racerl.vehicle.effects import Effect
+from racerl.vehicle.effects._fading import Fading
 from racerl.vehicle.ops import Ops, Scalar
 from racerl.vehicle.parameter import parameter
 
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 MOST_FORCE, MOST_MOMENT = 3.0, 30.0  # m/s² and rad/s²
 MOST_STEERING, MOST_DRIVE = 3.0, 20.0  # rad/s and m/s²
-FADE = 8.0  # steepness of the fading beyond 1.2 times the log's greatest values
 
 
 def _weight(meaning: str) -> Scalar:
@@ -29,12 +28,9 @@ def _weight(meaning: str) -> Scalar:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LearnedResidual(Effect):
-    """Weights c, zero unless learned, and the limits of what was seen."""
+class LearnedResidual(Fading):
+    """Weights c, zero unless learned."""
 
-    speed: Scalar = parameter("m/s", 0.1, 100.0, "greatest speed seen", 5.0)
-    steering: Scalar = parameter("rad", 0.01, 1.5, "greatest steering angle seen", 0.5)
-    yaw_rate: Scalar = parameter("rad/s", 0.1, 50.0, "greatest yaw rate seen", 8.0)
     ahead_one: Scalar = _weight("F_x: constant")
     ahead_speed: Scalar = _weight("F_x: speed")
     ahead_speed_2: Scalar = _weight("F_x: speed squared")
@@ -63,18 +59,6 @@ class LearnedResidual(Effect):
     drive_lead: Scalar = _weight("wheel acceleration: lead of the command")
     drive_speed: Scalar = _weight("wheel acceleration: speed")
     drive_lead_speed: Scalar = _weight("wheel acceleration: lead times speed")
-
-    symmetric: ClassVar[bool] = False
-    physical: ClassVar[bool] = False
-    known: ClassVar[tuple[str, ...]] = ("speed", "steering", "yaw_rate")
-
-    def inside(self, motion: "Motion", ops: Ops) -> Scalar:
-        """Return 1 where the log has been, falling to 0 beyond."""
-        share: Scalar = 1.0
-        for value, most in ((motion.v_x, self.speed), (motion.delta, self.steering), (motion.yaw_rate, self.yaw_rate)):
-            beyond = ops.abs(value) / most - 1.2
-            share = share * 0.5 * (1.0 - ops.tanh(FADE * beyond))
-        return share
 
     def wrench(self, wrench: "Wrench", forces: "Forces", motion: "Motion", ops: Ops) -> "Wrench":
         """Add what was learned."""
