@@ -33,7 +33,7 @@ class Reserve:
     steering: float
 
 
-TOP = Reserve(room=0.07, grip=0.008, rate=0.02, steering=0.0)
+TOP = Reserve(room=0.085, grip=0.008, rate=0.02, steering=0.0)
 BELOW = Reserve(room=0.16, grip=0.02, rate=0.4, steering=0.1)
 
 
