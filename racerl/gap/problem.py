@@ -24,6 +24,7 @@ from racerl.vehicle.vehicle import STATE, Vehicle
 
 Array = NDArray[np.float64]
 OWN_SPREAD = 0.5  # deviation of own initial states, in their spread over the windows
+MEMORY_STEP = 1e-3  # of a parameter, to see how it leads own states
 FIXED = 1e-6  # deviation of states that are known, such as clocks
 WORST = 1e8  # damping at which no step helps any more
 HELD_DAMPING = 1e-2  # of the step to a fold's parameters, at first
@@ -94,6 +95,16 @@ class StageProblem:
         """Return the states of effects that are absent."""
         return {state for state in self.rollout.active if not self.heard(state)}
 
+    @cached_property
+    def memory(self) -> dict[int, str]:
+        """Return the unknowns by which an own state remembers more than a window, by the state's row."""
+        return {
+            row: name
+            for row, state in enumerate(self.rollout.vehicle.states)
+            for name in self.names
+            if row >= len(STATE) and self.heard(state) and _remembered(self.vehicle, state, name)
+        }
+
     def shifts(self, theta: Mapping[str, float]) -> tuple[float, float]:
         """Return the shifts of both inputs, in s."""
         first, second = self.evidence.stage.shifts(_with(self.vehicle, theta))
@@ -144,6 +155,11 @@ def _with(vehicle: Vehicle, theta: Mapping[str, float]) -> Vehicle:
     return replace_values(vehicle, {name: value for name, value in theta.items() if name in known})
 
 
+def _remembered(vehicle: Vehicle, state: str, name: str) -> bool:
+    effect = state.split(".")[0]
+    return name.startswith(f"effects.{effect}.") and name.rpartition(".")[2] in vehicle.effects[effect].memory
+
+
 def _matters(evidence: Evidence, kernel: StageKernel, vehicle: Vehicle, name: str) -> bool:
     return inner(name) in kernel.rollout.names or _shift_of(evidence, vehicle, name) != (0.0, 0.0)
 
@@ -183,6 +199,21 @@ class Linear:
         diagonal = np.einsum("waa->wa", self.xx)
         ridge = damping * diagonal + 1e-10 * diagonal.max(axis=1, keepdims=True, initial=0.0) + 1e-300
         return np.linalg.inv(self.xx + ridge[:, :, None] * np.eye(self.xx.shape[1]))
+
+    def mixed(self, M: Array) -> "Linear":
+        """Return the same over θ of which the rows' parameters are M θ."""
+        return replace(self, tt=M.T @ self.tt @ M, tx=M.T @ self.tx, t=self.t @ M)
+
+    def led(self, slope: Array) -> "Linear":
+        """Return the same over θ that leads initial states, too, by `slope` (W, A, N)."""
+        back = slope.transpose(0, 2, 1)
+        shared = self.tx @ slope
+        return replace(
+            self,
+            tt=self.tt + shared + shared.transpose(0, 2, 1) + back @ self.xx @ slope,
+            tx=self.tx + back @ self.xx,
+            t=self.t + np.einsum("wna,wa->wn", back, self.x),
+        )
 
     def reduced(self, damping: float) -> tuple[Array, Array]:
         """Return H (W, N, N) and g (W, N) over θ with each window's initial state eliminated."""
@@ -311,7 +342,7 @@ class Problem:
 
     def _result(self, work: Sequence["_Work"], vector: Array, at: tuple[float, list[Linear]], converged: bool) -> Fit:
         theta = dict(zip(self.names, vector.tolist(), strict=True))
-        return Fit(theta, [stage.initial for stage in work], at[0], at[1], converged)
+        return Fit(theta, [stage.initial + stage.drift(theta)[0] for stage in work], at[0], at[1], converged)
 
     def held_out(self, fit: Fit, folds: Sequence[Sequence[NDArray[np.bool_]]]) -> list[Array]:
         """Return the cost of every window (W,) per stage, under parameters that were found without its fold."""
@@ -363,9 +394,12 @@ class Problem:
         for i, (stage, line, mask) in enumerate(zip(self.stages, fit.lines, masks, strict=True)):
             if mask.any():
                 work = _Work(replace(stage, names=(), vehicle=_with(stage.vehicle, theta)), {}, np.flatnonzero(mask))
-                start = fit.initial[i].copy()
-                start[work.rows] += line.follow(step[self._places(stage)], 0.0)
-                work.begin(fit.initial[i][:, mask], start[:, mask])
+                kept = fit.initial[i][:, mask]
+                start = kept.copy()
+                start[work.rows] += line.follow(step[self._places(stage)], 0.0)[:, mask]
+                for row in stage.memory:
+                    kept[row] = start[row] = work.initial[row]
+                work.begin(kept, start)
                 yield i, mask, work
 
     def covariance(self, fit: Fit, blocks: Sequence[NDArray[np.int64]]) -> Array:
@@ -422,6 +456,8 @@ class _Work:
         self.mixing = problem.mixing[used]
         self._shifts = problem.shifts(theta)
         self.rest = self.initial[self.rows]
+        self._led = self.initial.copy()  # where the measured motion leads own states under the first parameters
+        self._drifts: dict[tuple[float, ...], tuple[Array, Array]] = {}
         self.precision = np.array([self._precision(states[row], self.initial[row]) for row in self.rows])
 
     def _cut(self, theta: Mapping[str, float]) -> Windows:
@@ -444,17 +480,48 @@ class _Work:
         shifts = self.problem.shifts(theta)
         if shifts != self._shifts:
             self.windows, self._shifts = self._cut(theta), shifts
-        windows = replace(self.windows, initial=self.initial)
+        drift, slope = self.drift(theta)
+        windows = replace(self.windows, initial=self.initial + drift)
         with np.errstate(all="ignore"):
             parts = self.problem.rollout.accumulate(
                 self.problem.parameters(theta), windows, self.problem.threads, self.columns, self.silent
             )
-        raw, M = Linear.of(parts, len(self.mixing), np.diag(self.precision)), self.mixing
+        M = self.mixing
+        raw = Linear.of(parts, len(M), np.zeros((len(self.rows), len(self.rows)))).mixed(M)
+        if self.problem.memory:
+            raw = raw.led(slope)
         away = (self.initial[self.rows] - self.rest).T  # (W, A)
         cost = raw.cost + (away**2 * self.precision).sum(axis=1)
         if not np.isfinite(parts.H).all():
             cost = np.full_like(cost, np.inf)
-        return Linear(cost, M.T @ raw.tt @ M, M.T @ raw.tx, raw.xx, raw.t @ M, raw.x + away * self.precision)
+        return replace(raw, cost=cost, xx=raw.xx + np.diag(self.precision), x=raw.x + away * self.precision)
+
+    def drift(self, theta: Mapping[str, float]) -> tuple[Array, Array]:
+        """Return how far parameters have moved remembered states from where they began (S, W); by how much θ does."""
+        names = list(self.problem.memory.values()) if theta else []
+        drift, slope = (
+            np.zeros_like(self.initial),
+            np.zeros((self.initial.shape[1], len(self.rows), len(self.problem.names))),
+        )
+        if not names:
+            return drift, slope
+        key = tuple(theta[name] for name in names)
+        if key not in self._drifts:
+            here = self._own(theta)
+            for row, name in self.problem.memory.items():
+                drift[row] = here[row] - self._led[row]
+                step = MEMORY_STEP * abs(theta[name])
+                there = self._own({**theta, name: theta[name] + step})
+                slope[:, self.rows.index(row), self.problem.names.index(name)] = (there[row] - here[row]) / step
+            self._drifts[key] = drift, slope
+        return self._drifts[key]
+
+    def _own(self, theta: Mapping[str, float]) -> Array:
+        """Return the own states where the measured motion leads them, in the rows (S, W) of all states."""
+        own = self.problem.own_states(theta)
+        silent = np.zeros((len(STATE), own.shape[1]))
+        led = np.concatenate([silent, own])
+        return led if self.index is None else led[:, self.index]
 
     def spread(self, line: Linear, moved: Array, damping: float) -> Array:
         """Return the step of the full initial states (S, W) when θ moves by `moved`."""

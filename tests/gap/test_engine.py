@@ -11,10 +11,10 @@ from racerl.gap.evidence import Evidence
 from racerl.gap.follow import follow
 from racerl.gap.name import name_effects
 from racerl.gap.presence import with_all
-from racerl.gap.problem import StageKernels, StageProblem, Unknown
+from racerl.gap.problem import Problem, StageKernels, StageProblem, Unknown, _Work
 from racerl.gap.stage import CHASSIS, DRIVE, STEERING
 from racerl.vehicle.ops import TORCH
-from racerl.vehicle.parameter import values
+from racerl.vehicle.parameter import replace_values, values
 from racerl.vehicle.rollout import Windows
 from tests.gap.conftest import investigate
 from tests.vehicle.conftest import make_car, random_states
@@ -75,6 +75,28 @@ def test_a_stage_that_lacks_channels_is_left_out(clean):
         False,
         False,
     ]
+
+
+@needs_compiler
+def test_a_parameter_that_states_remember_counts_with_what_it_did_before_the_window(clean):
+    """Cost and its slope by the time in which tyres warm up: mostly, how warm they are when a window begins."""
+    evidence = Evidence.of([clean], CHASSIS, 40, 0.5)
+    car = make_car("vehicle=published", "+vehicle/effect=tyre_heating", "vehicle.effects.tyre_heating.loss=0.4")
+    theta = {"effects.tyre_heating.loss": 0.4, "effects.tyre_heating.time": 15.0}
+    unknowns = [Unknown(name, value, value, 0.1 * value, 10.0 * value) for name, value in theta.items()]
+    kernels = StageKernels(evidence, make_car("vehicle=published"), [], car.effects)
+    problem = StageProblem.of(evidence, kernels, car, unknowns, evidence.noise(), 1)
+    assert set(problem.memory.values()) == {"effects.tyre_heating.time"}
+    work = _Work(problem, theta, None)
+    line = work.linearise(theta)
+    for i, name in enumerate(problem.names):
+        step = 1e-3 * theta[name]
+        above, below = (work.linearise({**theta, name: theta[name] + way * step}).cost.sum() for way in (1, -1))
+        assert 2.0 * line.t[:, i].sum() == pytest.approx((above - below) / (2.0 * step), rel=0.02)
+    # the same drive, fitted from a wrong time: what a fit ends with is where another one may begin
+    fit = Problem([problem], unknowns).fit({**theta, "effects.tyre_heating.time": 40.0}, iterations=5)
+    again = Problem([dataclasses.replace(problem, vehicle=replace_values(car, fit.theta))], unknowns)
+    assert again.fit(fit.theta, fit.initial, iterations=0).total == pytest.approx(fit.total, rel=1e-6)
 
 
 def test_states_are_led_by_the_whole_log(clean):

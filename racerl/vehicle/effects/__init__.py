@@ -29,6 +29,7 @@ class Effect:
     uniform: ClassVar[bool] = True  # the same everywhere, in every direction and at all times
     physical: ClassVar[bool] = True  # of the catalogue
     known: ClassVar[tuple[str, ...]] = ()  # parameters that no fit changes
+    memory: ClassVar[tuple[str, ...]] = ()  # parameters by which own states remember the last minutes
 
     def key(self, state: str) -> str:
         """Return the name under which this effect finds one of its own states in `own`."""

@@ -24,10 +24,11 @@ class TyreHeating(Effect):
     """Loss of grip with a temperature that follows the slip power."""
 
     loss: Scalar = parameter("", -0.9, 0.9, "k of tyres that are hot through, positive for a loss")
-    power: Scalar = parameter("W", 2.0, 500.0, "P_s that heats them through", 30.0)
+    power: Scalar = parameter("W", 0.5, 500.0, "P_s that heats them through", 5.0)
     time: Scalar = parameter("s", 1.0, 200.0, "τ to warm up and cool down", 20.0)
 
     states: ClassVar[tuple[str, ...]] = ("heat",)
+    memory: ClassVar[tuple[str, ...]] = ("time",)
     uniform: ClassVar[bool] = False
 
     def grip(self, friction: Pair, motion: "Motion", ops: Ops) -> Pair:
