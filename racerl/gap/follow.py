@@ -5,10 +5,9 @@ before it does. With the car's own states as measured, s' = s + (1 − h ∂f/�
 for fast lags. Between runs the car stands.
 """
 
-from collections.abc import Mapping
-
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from racerl.gap.evidence import Evidence
 from racerl.vehicle.actuator import Given
@@ -32,14 +31,40 @@ def follow(vehicle: Vehicle, evidence: Evidence) -> Array:
     rows = len(evidence.first)
     advance = casadi.Function("advance", [s, body], [s + step]).mapaccum("follow", rows)
     start = np.zeros(own)
-    after = np.asarray(advance(start, _measured(vehicle, evidence.columns, evidence.first, evidence.dt)))
+    after = np.asarray(advance(start, _measured(vehicle, evidence)))
     return np.concatenate([start[:, None], after[:, :-1]], axis=1)
 
 
-def _measured(vehicle: Vehicle, columns: Mapping[str, Array], first: NDArray[np.int64], dt: float) -> Array:
+def lagged(states: Array, evidence: Evidence, before: float, after: float) -> Array:
+    """Return a first-order lag's states (R,), given as `follow` does, under another time constant in s.
+
+    What drives it is read off its states, u = s_{k+1} + (s_{k+1} − s_k) τ/h, and led through the other lag.
+    """
+    h = _steps(evidence)[:-1]
+    u = states[1:] + np.diff(states) * before / h
+    found = np.zeros_like(states)
+    ends = np.flatnonzero(np.abs(np.diff(h)) > 0.0) + 1
+    for part in np.split(np.arange(len(h)), ends):  # of equal steps
+        share = h[part[0]] / after
+        first, last = part[0], part[-1] + 1
+        keep = 1.0 / (1.0 + share)
+        found[first + 1 : last + 1] = lfilter([share * keep], [1.0, -keep], u[part], zi=[keep * found[first]])[0]
+    return found
+
+
+def _steps(evidence: Evidence) -> Array:
+    """Return the time until the next row in s, (R,)."""
+    first, t = evidence.first, evidence.columns["t"]
+    steps = np.full(len(first), evidence.dt)
+    ends = np.flatnonzero(np.diff(first) != 0)
+    steps[ends] = np.maximum(t[ends + 1] - t[ends], evidence.dt)
+    return steps
+
+
+def _measured(vehicle: Vehicle, evidence: Evidence) -> Array:
     """Return the car's own states, its inputs and the time until the next row, (11, R)."""
-    rows = len(first)
-    table = np.zeros((AXES + 3, rows))
+    columns = evidence.columns
+    table = np.zeros((AXES + 3, len(evidence.first)))
     for i, name in enumerate(STATE):
         if name in columns:
             table[i] = columns[name]
@@ -48,8 +73,6 @@ def _measured(vehicle: Vehicle, columns: Mapping[str, Array], first: NDArray[np.
         name = measured if isinstance(actuator, Given) or command not in columns else command
         if name in columns:
             table[AXES + i] = columns[name]
-    table[-1] = dt
-    ends = np.flatnonzero(np.diff(first) != 0)
-    table[3:-1, ends] = 0.0  # until the next run the car stands
-    table[-1, ends] = np.maximum(columns["t"][ends + 1] - columns["t"][ends], dt)
+    table[-1] = _steps(evidence)
+    table[3:-1, np.flatnonzero(np.diff(evidence.first) != 0)] = 0.0  # until the next run the car stands
     return table

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from racerl.gap.evidence import Evidence
-from racerl.gap.follow import follow
+from racerl.gap.follow import follow, lagged
 from racerl.gap.kernels import StageKernel, StageKernels
 from racerl.gap.presence import inner, only_shifts, with_all
 from racerl.gap.stage import SHIFTS, StageRollout
@@ -24,7 +24,7 @@ from racerl.vehicle.vehicle import STATE, Vehicle
 
 Array = NDArray[np.float64]
 OWN_SPREAD = 0.5  # deviation of own initial states, in their spread over the windows
-MEMORY_STEP = 1e-3  # of a parameter, to see how it leads own states
+MEMORY_STEP = 1e-3  # of a time constant, to see how it leads own states
 FIXED = 1e-6  # deviation of states that are known, such as clocks
 WORST = 1e8  # damping at which no step helps any more
 HELD_DAMPING = 1e-2  # of the step to a fold's parameters, at first
@@ -97,7 +97,7 @@ class StageProblem:
 
     @cached_property
     def memory(self) -> dict[int, str]:
-        """Return the unknowns by which an own state remembers more than a window, by the state's row."""
+        """Return the time constants, among the unknowns, of own states that remember more than a window, by row."""
         return {
             row: name
             for row, state in enumerate(self.rollout.vehicle.states)
@@ -144,9 +144,13 @@ class StageProblem:
 
     def own_states(self, theta: Mapping[str, float]) -> Array:
         """Return the effects' own states (S − 8, W) at the windows' starts, led there by the measured motion."""
+        return self.followed(theta)[:, self.evidence.start]
+
+    def followed(self, theta: Mapping[str, float]) -> Array:
+        """Return them along the whole log, (S − 8, R)."""
         car = self.evidence.stage.vehicle(_with(self.vehicle, theta))
-        heard = dict(zip(car.states[len(STATE) :], follow(car, self.evidence)[:, self.evidence.start], strict=True))
-        silent = np.zeros(len(self.evidence.start))
+        heard = dict(zip(car.states[len(STATE) :], follow(car, self.evidence), strict=True))
+        silent = np.zeros(len(self.evidence.first))
         return np.array([heard.get(name, silent) for name in self.rollout.vehicle.states[len(STATE) :]])
 
 
@@ -456,8 +460,8 @@ class _Work:
         self.mixing = problem.mixing[used]
         self._shifts = problem.shifts(theta)
         self.rest = self.initial[self.rows]
-        self._led = self.initial.copy()  # where the measured motion leads own states under the first parameters
-        self._drifts: dict[tuple[float, ...], tuple[Array, Array]] = {}
+        self._began = dict(theta)
+        self._followed = problem.followed(theta) if problem.memory and theta else np.zeros((0, 0))
         self.precision = np.array([self._precision(states[row], self.initial[row]) for row in self.rows])
 
     def _cut(self, theta: Mapping[str, float]) -> Windows:
@@ -497,31 +501,23 @@ class _Work:
         return replace(raw, cost=cost, xx=raw.xx + np.diag(self.precision), x=raw.x + away * self.precision)
 
     def drift(self, theta: Mapping[str, float]) -> tuple[Array, Array]:
-        """Return how far parameters have moved remembered states from where they began (S, W); by how much θ does."""
-        names = list(self.problem.memory.values()) if theta else []
-        drift, slope = (
-            np.zeros_like(self.initial),
-            np.zeros((self.initial.shape[1], len(self.rows), len(self.problem.names))),
-        )
-        if not names:
-            return drift, slope
-        key = tuple(theta[name] for name in names)
-        if key not in self._drifts:
-            here = self._own(theta)
-            for row, name in self.problem.memory.items():
-                drift[row] = here[row] - self._led[row]
-                step = MEMORY_STEP * abs(theta[name])
-                there = self._own({**theta, name: theta[name] + step})
-                slope[:, self.rows.index(row), self.problem.names.index(name)] = (there[row] - here[row]) / step
-            self._drifts[key] = drift, slope
-        return self._drifts[key]
+        """Return how far parameters have moved remembered states from where they began (S, W), and its slope by θ."""
+        drift = np.zeros_like(self.initial)
+        slope = np.zeros((self.initial.shape[1], len(self.rows), len(self.problem.names)))
+        for row, name in self.problem.memory.items() if theta else ():
+            followed, now = self._followed[row - len(STATE)], theta[name]
+            at, beyond = (
+                self._starts(lagged(followed, self.problem.evidence, self._began[name], time))
+                for time in (now, now * (1.0 + MEMORY_STEP))
+            )
+            drift[row] = at - self._starts(followed)
+            slope[:, self.rows.index(row), self.problem.names.index(name)] = (beyond - at) / (now * MEMORY_STEP)
+        return drift, slope
 
-    def _own(self, theta: Mapping[str, float]) -> Array:
-        """Return the own states where the measured motion leads them, in the rows (S, W) of all states."""
-        own = self.problem.own_states(theta)
-        silent = np.zeros((len(STATE), own.shape[1]))
-        led = np.concatenate([silent, own])
-        return led if self.index is None else led[:, self.index]
+    def _starts(self, rows: Array) -> Array:
+        """Return what a row of the log (R,) is where windows start, (W,)."""
+        starts: Array = rows[self.problem.evidence.start]
+        return starts if self.index is None else starts[self.index]
 
     def spread(self, line: Linear, moved: Array, damping: float) -> Array:
         """Return the step of the full initial states (S, W) when θ moves by `moved`."""

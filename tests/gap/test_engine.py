@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from racerl.gap.evidence import Evidence
-from racerl.gap.follow import follow
+from racerl.gap.follow import follow, lagged
 from racerl.gap.name import name_effects
 from racerl.gap.presence import with_all
 from racerl.gap.problem import Problem, StageKernels, StageProblem, Unknown, _Work
@@ -93,10 +93,25 @@ def test_a_parameter_that_states_remember_counts_with_what_it_did_before_the_win
         step = 1e-3 * theta[name]
         above, below = (work.linearise({**theta, name: theta[name] + way * step}).cost.sum() for way in (1, -1))
         assert 2.0 * line.t[:, i].sum() == pytest.approx((above - below) / (2.0 * step), rel=0.02)
-    # the same drive, fitted from a wrong time: what a fit ends with is where another one may begin
+    # the same drive, fitted from a wrong time: what a fit ends with is where another one may begin, but for what
+    # another grip changes in the heat
     fit = Problem([problem], unknowns).fit({**theta, "effects.tyre_heating.time": 40.0}, iterations=5)
     again = Problem([dataclasses.replace(problem, vehicle=replace_values(car, fit.theta))], unknowns)
-    assert again.fit(fit.theta, fit.initial, iterations=0).total == pytest.approx(fit.total, rel=1e-6)
+    assert again.fit(fit.theta, fit.initial, iterations=0).total == pytest.approx(fit.total, rel=2e-3)
+
+
+def test_a_lag_under_another_time_constant_is_that_of_the_same_input(clean):
+    evidence = Evidence.of([clean], CHASSIS, 40, 0.5)
+    effect = ["vehicle=published", "+vehicle/effect=tyre_heating", "vehicle.effects.tyre_heating.loss=0.0"]
+
+    def heat(time):
+        car = CHASSIS.vehicle(make_car(*effect, f"vehicle.effects.tyre_heating.time={time}"))
+        return follow(car, evidence)[car.states.index("tyre_heating.heat") - 8]
+
+    slow, quick = heat(30.0), heat(5.0)
+    assert np.abs(slow - quick).max() > 1.0
+    assert np.allclose(lagged(slow, evidence, 30.0, 5.0), quick, rtol=1e-6, atol=1e-8)
+    assert np.allclose(lagged(slow, evidence, 30.0, 30.0), slow, rtol=1e-9, atol=1e-12)
 
 
 def test_states_are_led_by_the_whole_log(clean):

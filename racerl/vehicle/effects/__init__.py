@@ -29,7 +29,7 @@ class Effect:
     uniform: ClassVar[bool] = True  # the same everywhere, in every direction and at all times
     physical: ClassVar[bool] = True  # of the catalogue
     known: ClassVar[tuple[str, ...]] = ()  # parameters that no fit changes
-    memory: ClassVar[tuple[str, ...]] = ()  # parameters by which own states remember the last minutes
+    memory: ClassVar[tuple[str, ...]] = ()  # time constants of own states that are first-order lags over seconds
 
     def key(self, state: str) -> str:
         """Return the name under which this effect finds one of its own states in `own`."""
