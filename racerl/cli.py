@@ -438,10 +438,11 @@ def _close(settings: "Settings", out: Path) -> None:
             table.add_row(kind, str(row["seed"]), *times, f"{row['e_off']:.5f}", f"{row['crash_share']:.0%}", valid)
     console.print(table)
     told = {"mean_lap_s": "lap time", "e_off": "E_off", "crash_share": "crashes"}
-    gained = [
-        f"{told[measure]}: " + ("the oracle gains nothing" if share is None else f"{share:.0%} of the oracle's gain")
-        for measure, share in facts["recovered"].items()
-    ]
+    gained = []
+    for measure, share in facts["recovered"].items():
+        missing = [kind for kind, policy in facts["policies"].items() if policy[measure] is None]
+        why = f"{' and '.join(missing)} finished no lap in a training" if missing else "the oracle gains nothing"
+        gained.append(f"{told[measure]}: " + (why if share is None else f"{share:.0%} of the oracle's gain"))
     line = f"with {', '.join(facts['effects'])}: {'; '.join(gained)}; numbers in {out / RESULT}"
     console.print(line, highlight=False, soft_wrap=True)
 

@@ -17,7 +17,7 @@ from racerl.bench import Compose, Progress
 from racerl.documents import read_json
 from racerl.errors import ConfigError
 from racerl.gap.diagnose import VERDICT, gap
-from racerl.run import MANIFEST
+from racerl.run import MANIFEST, is_complete
 
 NAMED = ("named", "multiple")
 
@@ -60,7 +60,7 @@ class Gap:
 
 def _diagnosis(settings: dict[str, Any], out: Path) -> tuple[dict[str, Any], float | None]:
     """Return a verdict and the seconds that it took, an earlier one where it is there."""
-    if not (out / VERDICT).is_file():
+    if not is_complete(out):
         gap(settings, out)
     return read_json(out / VERDICT), read_json(out / MANIFEST).get("seconds")
 
@@ -80,7 +80,7 @@ def outcome(case: str, key: dict[str, Any], verdict: dict[str, Any], seconds: fl
         "verdict": verdict["verdict"],
         "found": found,
         "rivals": verdict["ambiguous_with"],
-        "separable": set(truth) <= set(verdict["separable"]),  # declared before anything is named
+        "separable": set(truth) <= set(verdict.get("separable", ())),  # declared before anything is named
         "explained": verdict["gap"]["explained"] if verdict["gap"] else None,
         "errors": {name: abs(p["value"] / value - 1.0) for name, p, value in _shared(key, verdict) if value},
         "inside": {name: p["ci95"][0] <= value <= p["ci95"][1] for name, p, value in _shared(key, verdict)},

@@ -1,9 +1,9 @@
 """Training against stock Stable-Baselines3 PPO on the same environment: throughput, memory, and time to a fast lap.
 
-Throughput and memory: same networks, hyperparameters and threads, in turns. Time to a lap: `fast` trains to its end for
-every seed and is then scored; the stock PPO, with the hyperparameters of the paper, is scored every so often until it
-arrives or its `patience` ends. A policy has arrived when its mean of 20 clean laps on the model without randomization
-is within `margin` of the time-optimal lap. Scoring does not count.
+Throughput and memory: same networks, hyperparameters and threads, in turns; ours in bf16 where the budget says so. Time
+to a lap: `fast` trains to its end for every seed and is then scored; the stock PPO, with the hyperparameters of the
+paper, is scored every so often until it arrives or its `patience` ends. A policy has arrived when its mean of 20 clean
+laps on the model without randomization is within `margin` of the time-optimal lap. Scoring does not count.
 """
 
 import resource

@@ -156,8 +156,9 @@ class Race(Rows):
             self.device,
             self.dtype,
         )
-        # for the device to say whether any car ended or failed; a GPU had better go on than be asked
-        self.waits = self.device.type == "cpu"
+        # for the device to say whether any car ended or failed; a GPU had better go on than be asked, but for races
+        # whose cars have dice of their own, which are thrown one by one
+        self.waits = self.device.type == "cpu" or len(self.seeds) > 1
         self._faults = torch.zeros((), device=self.device, dtype=torch.long)
         self._nobody = torch.zeros(self.count, device=self.device, dtype=torch.bool)
         self._constants: dict[tuple[float, ...], Tensor] = {}

@@ -34,7 +34,8 @@ def seen(vehicle: Vehicle, past: Tensor, period: float) -> Tensor:
     late = vehicle.latencies()
     rows = []
     for i, name in enumerate(STATE):
-        age = torch.as_tensor(late.get(name, 0.0), dtype=past.dtype, device=past.device) / period
+        delay = late.get(name, 0.0)
+        age = delay / period if isinstance(delay, Tensor) else past.new_full((), delay / period)
         age = age.clamp(0.0, len(past) - 1.0).expand(past.shape[2])
         whole = age.floor().long().clamp(max=len(past) - 2)
         newer, older = (past[:, i].gather(0, (whole + k)[None])[0] for k in (0, 1))

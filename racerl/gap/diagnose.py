@@ -176,19 +176,18 @@ def _steps(
     }
     if verdict.kind == "unknown":
         on_progress("learning a residual", 0.97)
-        facts["residual"] = _residual(investigation, decision, settings, folder, told)
+        facts["residual"] = _residual(investigation, settings, folder, told)
     return facts, decision.found if facts["effects"] else investigation.base
 
 
 def _residual(
     investigation: Investigation,
-    decision: Decision,
     settings: Mapping[str, Any],
     folder: Path,
     told: Mapping[str, Any],
 ) -> dict[str, Any] | None:
     """Write the vehicle with a learned residual if that helps; return what it explains."""
-    facts, found = residual.learn(investigation, decision, settings["seed"])
+    facts, found = residual.learn(investigation, settings["seed"])
     write_json(folder / RESIDUAL, facts)
     if not facts["effects"]:
         return None

@@ -196,8 +196,11 @@ class Investigation:
 
     def _free(self, vehicle: Vehicle, effect: str) -> list[Unknown]:
         """Return an effect's parameters as unknowns, with wide priors, inside physical bounds or the log's own."""
+        own = vehicle.effects[effect]
+        if not own.physical:  # what is learned has its prior where it started, whatever it has become
+            vehicle = with_effect(vehicle, effect, type(own)())
         table, known = values(vehicle), specifications(vehicle)
-        held = vehicle.effects[effect].known
+        held = own.known
         names = [n for n in table if n.startswith(f"effects.{effect}.") and n.rpartition(".")[2] not in held]
         return [
             Unknown(

@@ -504,7 +504,7 @@ class _Work:
         """Return how far parameters have moved remembered states from where they began (S, W), and its slope by θ."""
         drift = np.zeros_like(self.initial)
         slope = np.zeros((self.initial.shape[1], len(self.rows), len(self.problem.names)))
-        for row, name in self.problem.memory.items() if theta else ():
+        for row, name in self.problem.memory.items():
             followed, now = self._followed[row - len(STATE)], theta[name]
             at, beyond = (
                 self._starts(lagged(followed, self.problem.evidence, self._began[name], time))

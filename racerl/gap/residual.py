@@ -1,8 +1,9 @@
 """What is offered where no known effect explains the gap: a bounded residual that is learned like any effect.
 
 First a regression over a few terms, of which those stay whose weights are clearly off zero. Then a small network
-beside them, which stays if it helps on held-out windows. Weights have a prior around zero, so that what the data do not
-ask for stays small; both fade outside of what the log has seen; and they have no physical name.
+beside them, which stays if it helps on held-out windows. Weights have a prior around where they start, zero for all
+that makes a force, so that what the data do not ask for stays small; both fade outside of what the log has seen; and
+they have no physical name.
 """
 
 from collections.abc import Mapping
@@ -12,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from racerl.gap.investigation import Found, Investigation, Screened, with_effect
-from racerl.gap.name import WORTH, Decision, Judge, Scored, excess
+from racerl.gap.name import WORTH, Judge, Scored, excess
 from racerl.vehicle.effects import Effect
+from racerl.vehicle.effects._fading import Fading
 from racerl.vehicle.effects.learned_network import LearnedNetwork
 from racerl.vehicle.effects.learned_residual import LearnedResidual
 
@@ -21,7 +23,6 @@ TERMS, NETWORK = "learned_residual", "learned_network"
 CHANNELS = {"speed": ("v_x", "omega"), "steering": ("delta", "delta_ref"), "yaw_rate": ("yaw_rate",)}
 SEEN = 0.995  # quantile that counts as the greatest value seen
 SURE = 2.0  # deviations that a term's weight is off zero
-PRUNINGS = 4  # times that idle terms are taken out
 
 
 def limits(investigation: Investigation) -> dict[str, float]:
@@ -35,7 +36,7 @@ def limits(investigation: Investigation) -> dict[str, float]:
     return seen
 
 
-def learn(investigation: Investigation, decision: Decision, seed: int) -> tuple[dict[str, Any], Found]:
+def learn(investigation: Investigation, seed: int) -> tuple[dict[str, Any], Found]:
     """Fit terms, then a network, to what the refitted vehicle leaves; return what they explain, and the fit."""
     seen, base = limits(investigation), investigation.base
     terms, network = LearnedResidual(**seen), LearnedNetwork(**seen)
@@ -58,26 +59,26 @@ def learn(investigation: Investigation, decision: Decision, seed: int) -> tuple[
             name: {"before": float(part.sum()), "noise": investigation.floor[name]}
             for name, part in judge.first.items()
         },
-        "beside": list(decision.chosen),
     }
     return facts, found
 
 
 def sparse(investigation: Investigation, found: Found) -> tuple[Investigation, Found]:
-    """Take out terms that may as well be zero and fit the others again, until none is idle."""
-    for _ in range(PRUNINGS):
+    """Take out the weaker half of the terms that may as well be zero, fit the others again, until none is idle."""
+    while True:
         deviations = investigation.deviations(found)
-        idle = [n for n, weight in weights(found, TERMS).items() if weight and abs(weight) < SURE * deviations[n]]
+        sure = {n: abs(weight) / max(deviations[n], 1e-12) for n, weight in weights(found, TERMS).items() if weight}
+        idle = sorted((n for n in sure if sure[n] < SURE), key=lambda n: sure[n])
         if not idle:
-            break
-        investigation = investigation.limited(dict.fromkeys(idle, (0.0, 0.0)))
-        found = investigation.again(found, dict.fromkeys(idle, 0.0))
-    return investigation, found
+            return investigation, found
+        weaker = idle[: (len(idle) + 1) // 2]  # terms that look alike are not all thrown out at once
+        investigation = investigation.limited(dict.fromkeys(weaker, (0.0, 0.0)))
+        found = investigation.again(found, dict.fromkeys(weaker, 0.0))
 
 
 def weights(found: Found, effect: str) -> dict[str, float]:
     """Return a learned effect's weights by dotted name."""
-    known = LearnedResidual.known
+    known = Fading.known
     mine = {name: value for name, value in found.theta.items() if name.startswith(f"effects.{effect}.")}
     return {name: value for name, value in mine.items() if name.rpartition(".")[2] not in known}
 

@@ -59,7 +59,7 @@ def close(
         on_progress(i / len(jobs), f"{kind}, seed {seed}: training")
         trained, raced = folder.path / f"{kind}_{seed}", folder.path / f"{kind}_{seed}_race"
         if not is_complete(trained):
-            train(compose("train", [f"vehicle={cars[kind]}", f"seed={seed}", *words]), trained)
+            train(compose("train", [*words, f"vehicle={cars[kind]}", f"seed={seed}"]), trained)
         on_progress((i + 0.7) / len(jobs), f"{kind}, seed {seed}: racing")
         if not is_complete(raced):
             race = [f"run={trained}", f"vehicle={settings['real']}", f"laps={settings['laps']}"]

@@ -1,9 +1,9 @@
 """Proximal policy optimisation on the batched race: Stable-Baselines3's PPO with rollout and update on tensors.
 
 Networks, schedules, callbacks and logger are Stable-Baselines3's. Overridden are collecting rollouts (no per-car
-Python) and the update (no synchronisation per minibatch). Optional, and what makes the laptop budget fast: observations
-normalised by their running moments, a learning rate of the actor that follows the KL divergence of its updates while
-the critic keeps learning, and action noise that falls on a schedule.
+Python) and the update (measures stay on the device, but for the one that lets the actor rest). Optional, and what makes
+the laptop budget fast: observations normalised by their running moments, a learning rate of the actor that follows the
+KL divergence of its updates while the critic keeps learning, and action noise that falls on a schedule.
 """
 
 import math
@@ -52,7 +52,7 @@ class Budget:
     final_std: float | None = None  # falls to it exponentially; None: it is learned
     target_kl: float | None = None  # the actor's learning rate follows it, below the schedule; None: the schedule alone
     normalise: bool = False  # observations by their running mean and deviation
-    bf16: bool = False  # networks in bf16 during the update, on processors that multiply it faster
+    bf16: bool = False  # networks in bf16 while they learn, on processors that multiply it faster
     actor: tuple[int, ...] = (256, 256)
     critic: tuple[int, ...] = (512, 512)
     evaluations: int = 20  # evenly over the training

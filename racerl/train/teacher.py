@@ -70,9 +70,11 @@ class Teacher:
 
     def start(self, race: Race, cars: Tensor, generator: torch.Generator) -> None:
         """Put the cars of these numbers (K,) somewhere near the fastest lap."""
-        index = torch.randint(0, PLACES, (len(cars),), generator=generator)
+        index = torch.randint(0, PLACES, (len(cars),), generator=generator, device=cars.device)
         spread = torch.nan_to_num(self.tolerances, posinf=0.0) * START_SPREAD
-        z = self.states[-1, index] + spread * torch.randn(len(cars), len(spread), generator=generator)
+        z = self.states[-1, index] + spread * torch.randn(
+            len(cars), len(spread), generator=generator, device=cars.device
+        )
         x, y, yaw = self.line.frame.position(index * (self.line.frame.length / PLACES), z[:, 0])
         size = len(race.vehicle.states)
         state = torch.stack([x, y, yaw + z[:, 1], *z[:, 2 : size - 1].T])

@@ -150,6 +150,7 @@ def test_a_race_that_does_not_wait_is_the_same_race():
         for name in ("final_observation", "reward", "terminated", "truncated", "margin", "progress"):
             assert torch.equal(getattr(got, name)[first], getattr(expected, name)[first])
         assert torch.equal(got.observation[~over], got.final_observation[~over])
+        assert torch.equal(got.observation[over], blind.observe()[over])
         assert (blind.age[over] == 0).all() and (blind.n[over].abs() < 1e-4).all()
         assert (blind.age[~over] > 0).all()
         first &= ~over

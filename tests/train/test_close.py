@@ -28,7 +28,7 @@ def settings_of(run, **changes):
     words = [
         f"logs=['{run}']",
         "real=published",
-        "train=['budget=smoke']",
+        "train=['budget=smoke','seed=5']",
         "laps=1",
         "seeds=[0]",
         "trainings=[0]",
@@ -48,6 +48,7 @@ def test_three_policies_race_in_one_car_and_a_second_start_goes_on(diagnosed, tm
         trained = RunFolder.open_complete(tmp_path / "out" / f"{kind}_0", "train").settings()["vehicle"]
         raced = RunFolder.open_complete(tmp_path / "out" / f"{kind}_0_race", "evaluate").settings()["vehicle"]
         masses[kind] = trained.get("file", trained.get("mass")), raced["mass"]
+    assert RunFolder.open_complete(tmp_path / "out" / "new_0", "train").settings()["seed"] == 0
     assert {raced for _, raced in masses.values()} == {5.1} and masses["oracle"][0] == 5.1
     assert str(masses["old"][0]).endswith("model_before.yaml") or masses["old"][0] == 5.0
     with pytest.raises(RunError, match="already holds"):

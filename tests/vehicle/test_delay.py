@@ -62,9 +62,11 @@ def test_the_race_delays_the_drive_by_so_many_seconds():
     def wheel_speeds(*overrides):
         built = race(*overrides)
         built.reset()
-        return np.array(
-            [float(built.step(torch.tensor([[0.0, 1.0]]).expand(3, 2)) and built.omega[0]) for _ in range(6)]
-        )
+        speeds = []
+        for _ in range(6):
+            built.step(torch.tensor([[0.0, 1.0]]).expand(3, 2))
+            speeds.append(float(built.omega[0]))
+        return np.array(speeds)
 
     prompt = wheel_speeds()
     late = wheel_speeds("+vehicle/effect=drive_delay", "vehicle.effects.drive_delay.delay=0.05")

@@ -355,13 +355,14 @@ WILD = {
 def test_what_is_learned_is_bounded_fades_where_nothing_was_seen_and_has_no_place_in_the_catalogue(learned):
     assert not {"learned_residual", "learned_network"} & set(catalogue.names())
     weights, rows = WILD[learned]
+    name_of = learned.__module__.rpartition(".")[2]
     known, wild = learned(), learned(**weights)
     plain = make_car("vehicle=published")
     state, command = random_states(plain, 200)
     base = plain.derivative(state, command, TORCH)
-    none = dataclasses.replace(plain, effects={"learned_residual": known}).derivative(state, command, TORCH)
+    none = dataclasses.replace(plain, effects={name_of: known}).derivative(state, command, TORCH)
     assert torch.equal(none, base)
-    most = dataclasses.replace(plain, effects={"learned_residual": wild}).derivative(state, command, TORCH) - base
+    most = dataclasses.replace(plain, effects={name_of: wild}).derivative(state, command, TORCH) - base
     limits = {"v_x": 3.0, "yaw_rate": 30.0, "delta": 3.0, "omega": 20.0}
     for name, limit in limits.items():
         if ROW[name] >= rows:  # a network of forces leaves the actuators alone
@@ -370,5 +371,5 @@ def test_what_is_learned_is_bounded_fades_where_nothing_was_seen_and_has_no_plac
         assert 0.5 * limit < float(most[ROW[name]].abs().max()) <= limit * (1.0 + 1e-9)
     beyond = dataclasses.replace(wild, speed=0.1, steering=0.01, yaw_rate=0.1)
     away = state[3].abs() > 0.5
-    faded = dataclasses.replace(plain, effects={"learned_residual": beyond}).derivative(state, command, TORCH) - base
+    faded = dataclasses.replace(plain, effects={name_of: beyond}).derivative(state, command, TORCH) - base
     assert float(faded[:, away].abs().max()) < 1e-3

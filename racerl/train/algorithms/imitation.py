@@ -55,7 +55,7 @@ class Imitation:
         torch.manual_seed(session.seed)
         network = build_network([race.observation.size, *self.layers, 2]).to(session.device)
         optimizer = torch.optim.Adam(network.parameters(), self.learning_rate)
-        dice = torch.Generator().manual_seed(session.seed)
+        dice = torch.Generator(session.device).manual_seed(session.seed)
         self._start_fast(race, teacher, race.age == 0, dice)
         seen: list[Tensor] = []
         asked: list[Tensor] = []
@@ -87,7 +87,7 @@ class Imitation:
         asked: list[Tensor],
     ) -> float:
         """Drive all cars, a share `taught` of them by the teacher; keep what was seen; return the mean reward."""
-        by_teacher = (torch.rand(race.count, generator=dice) < taught)[:, None]
+        by_teacher = (torch.rand(race.count, generator=dice, device=race.device) < taught)[:, None]
         rewards = []
         observation = race.observe()
         for _ in range(self.steps):
@@ -95,7 +95,7 @@ class Imitation:
             seen.append(observation)
             asked.append(target)
             action = torch.where(by_teacher, target, network(observation)).clamp(-1.0, 1.0)
-            step = race.step(action + self.noise * torch.randn(action.shape, generator=dice))
+            step = race.step(action + self.noise * torch.randn(action.shape, generator=dice, device=race.device))
             observation = step.observation
             rewards.append(step.reward.mean())
             over = step.terminated | step.truncated
@@ -106,7 +106,7 @@ class Imitation:
 
     def _start_fast(self, race: Race, teacher: Teacher, begun: Tensor, dice: torch.Generator) -> None:
         """Put a share of the cars that begin an episode near the fastest lap."""
-        fast = begun & (torch.rand(race.count, generator=dice) < self.fast_starts)
+        fast = begun & (torch.rand(race.count, generator=dice, device=race.device) < self.fast_starts)
         if bool(fast.any()):
             teacher.start(race, fast.nonzero()[:, 0], dice)
 
@@ -125,7 +125,7 @@ class Imitation:
         for update in range(count):
             falling = 1.0 - (1.0 - LAST_RATE) * update / count if last else 1.0
             optimizer.param_groups[0]["lr"] = self.learning_rate * falling
-            chosen = torch.randint(0, len(seen), (self.batch,), generator=dice)
+            chosen = torch.randint(0, len(seen), (self.batch,), generator=dice, device=seen.device)
             answer, target = network(seen.index_select(0, chosen)), asked.index_select(0, chosen)
             beyond = (target.abs() >= LARGEST) & (answer * target.sign() > LARGEST)
             loss = ((answer - target) ** 2).masked_fill(beyond, 0.0).mean()
