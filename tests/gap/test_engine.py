@@ -109,7 +109,7 @@ def test_a_lag_under_another_time_constant_is_that_of_the_same_input(clean):
         return follow(car, evidence)[car.states.index("tyre_heating.heat") - 8]
 
     slow, quick = heat(30.0), heat(5.0)
-    assert np.abs(slow - quick).max() > 1.0
+    assert np.abs(slow - quick).max() > 0.1
     assert np.allclose(lagged(slow, evidence, 30.0, 5.0), quick, rtol=1e-6, atol=1e-8)
     assert np.allclose(lagged(slow, evidence, 30.0, 30.0), slow, rtol=1e-9, atol=1e-12)
 
@@ -120,7 +120,7 @@ def test_states_are_led_by_the_whole_log(clean):
     own = dict(zip(car.states[8:], follow(car, evidence), strict=True))
     t = evidence.columns["t"]
     assert np.allclose(own["friction_fade.clock"], t - t[0], atol=0.02)
-    assert own["tyre_heating.heat"].min() >= 0.0 and 0.0 < own["tyre_heating.heat"].max() < 1000.0
+    assert own["tyre_heating.heat"].min() >= 0.0 and 0.0 < own["tyre_heating.heat"].max() < 100.0
     assert np.isfinite(own["tyre_relaxation.alpha_f"]).all() and np.abs(own["tyre_relaxation.alpha_f"]).max() > 0.05
 
 
