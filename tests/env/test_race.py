@@ -157,6 +157,27 @@ def test_a_race_that_does_not_wait_is_the_same_race():
     assert not first.any() and len(blind.draws.values.unique()) == 64
 
 
+@pytest.mark.gpu
+def test_no_step_waits_for_a_gpu():
+    race = make(
+        "dr=friction_0.02",
+        "+vehicle/effect=[pose_latency,steering_delay]",
+        "sim.max_steps=10",
+        cars=64,
+        device=torch.device("cuda"),
+    )
+    actions = torch.rand(30, 64, 2, device=race.device) * 2 - 1
+    for action in actions[:15]:  # constants come to the device once
+        race.step(action)
+    torch.cuda.set_sync_debug_mode("error")
+    try:
+        for action in actions[15:]:
+            race.step(action)
+    finally:
+        torch.cuda.set_sync_debug_mode("default")
+    assert race.faults == 0 and bool((race.age < 10).all())
+
+
 def test_a_race_that_does_not_wait_starts_a_faulty_car_over():
     race = make(cars=5)
     race.waits = False
