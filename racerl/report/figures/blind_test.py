@@ -58,8 +58,14 @@ def draw_confusion(table: Mapping[str, Mapping[str, int]]) -> str | None:
                 own = missed[i] == said[j]
                 colour = "white" if count > 0.6 * counts.max() and counts.max() > 1 else "black"
                 axis.text(j, i, str(count), ha="center", va="center", color=colour, weight="bold" if own else "normal")
-        axis.set_xticks(range(len(said)), said, rotation=40, ha="right", fontsize=8)
+        axis.set_xticks(range(len(said)), [_short(word) for word in said], rotation=40, ha="right", fontsize=8)
         axis.set_yticks(range(len(missed)), missed, fontsize=8)
         axis.set(xlabel="said (logs; bold: the truth)", ylabel="hidden")
         axis.grid(visible=False)
         return to_svg(figure)
+
+
+def _short(said: str) -> str:
+    """Return names that fit under a column; three or more of them are counted."""
+    names = said.split(" + ")
+    return f"{len(names)} effects" if len(names) > 2 else said
