@@ -73,12 +73,13 @@ def check_settings(settings: Settings) -> None:
 
 
 def use_threads(threads: Any) -> None:
-    """Let torch compute with this many threads; raise ConfigError when it is no sensible number.
-
-    Memory that torch frees stays with the process: given back and asked for anew at every step, its pages cost more
-    time than the step.
-    """
+    """Let torch compute with this many threads; raise ConfigError when it is no sensible number."""
     torch.set_num_threads(bounds.whole("threads", threads, 1, 256))
+    _keep_memory()
+
+
+def _keep_memory() -> None:
+    """Let the process keep what torch frees: pages asked for anew at every step cost more time than the step."""
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if os.name == "posix" else None
     if mallopt is not None:  # glibc
         mallopt(M_MMAP_THRESHOLD, KEPT_BLOCK)

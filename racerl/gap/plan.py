@@ -16,7 +16,7 @@ from racerl.documents import write_json
 from racerl.errors import LogError
 from racerl.gap.diagnose import check, cut, excitations, investigate
 from racerl.gap.score import Score
-from racerl.gap.verdict import SHOWS, TWINS
+from racerl.gap.verdict import alike, hidden
 from racerl.record.record import Plan, table
 from racerl.run import Compose, RunFolder
 from racerl.vehicle.load import load_vehicle
@@ -60,24 +60,19 @@ def programme(settings: Mapping[str, Any], compose: Compose) -> Log:
 
 def telling(score: Score) -> dict[str, Any]:
     """Return what a score says of the data: χ² of every effect, pairs that look alike, what to drive next."""
-    shown = np.diag(score.H)
-    cosines = score.cosines()
-    seen = [i for i, power in enumerate(shown) if power >= SHOWS]
-    alike: list[dict[str, Any]] = [
+    dark, cosines = hidden(score), score.cosines()
+    pairs: list[dict[str, Any]] = [
         {"effects": [score.names[i], score.names[j]], "cosine": float(cosines[i, j])}
-        for n, i in enumerate(seen)
-        for j in seen[n + 1 :]
-        if abs(cosines[i, j]) > TWINS
+        for i, j in np.argwhere(np.triu(alike(score))).tolist()
     ]
-    alike.sort(key=lambda row: -abs(row["cosine"]))
-    dark = [score.names[i] for i in range(len(shown)) if i not in seen]
-    wanted = [*dark, *(name for row in alike for name in row["effects"])]
+    pairs.sort(key=lambda row: -abs(row["cosine"]))
+    wanted = [*dark, *(name for row in pairs for name in row["effects"])]
     return {
         "effects": {
-            name: {"chi2": float(power), "shows": bool(power >= SHOWS)}
-            for name, power in zip(score.names, shown, strict=True)
+            name: {"chi2": float(power), "shows": name not in dark}
+            for name, power in zip(score.names, np.diag(score.H), strict=True)
         },
-        "alike": alike,
+        "alike": pairs,
         "cosines": cosines.tolist(),
         "next": [
             {"drive": what, "for": names}

@@ -143,11 +143,7 @@ class StageProblem:
         return self.rollout.predict(self.parameters(theta), windows, self.threads) - windows.measured
 
     def own_states(self, theta: Mapping[str, float]) -> Array:
-        """Return the effects' own states (S − 8, W) at the windows' starts, led there by the measured motion."""
-        return self.followed(theta)[:, self.evidence.start]
-
-    def followed(self, theta: Mapping[str, float]) -> Array:
-        """Return them along the whole log, (S − 8, R)."""
+        """Return the effects' own states along the log (S − 8, R), led by the measured motion."""
         car = self.evidence.stage.vehicle(_with(self.vehicle, theta))
         heard = dict(zip(car.states[len(STATE) :], follow(car, self.evidence), strict=True))
         silent = np.zeros(len(self.evidence.first))
@@ -450,8 +446,8 @@ class _Work:
         self.windows = self._cut(theta)
         self.initial = self.windows.initial.copy()
         if problem.vehicle.states != STATE:
-            own = problem.own_states(theta)
-            self.initial[len(STATE) :] = own if index is None else own[:, index]
+            self._led = problem.own_states(theta)
+            self.initial[len(STATE) :] = self._starts(self._led)
         states = problem.rollout.vehicle.states
         self.columns, self.silent = problem.columns(), problem.silent()
         active = [name for name in problem.rollout.active if problem.heard(name)]
@@ -461,7 +457,6 @@ class _Work:
         self._shifts = problem.shifts(theta)
         self.rest = self.initial[self.rows]
         self._began = dict(theta)
-        self._followed = problem.followed(theta) if problem.memory and theta else np.zeros((0, 0))
         self.precision = np.array([self._precision(states[row], self.initial[row]) for row in self.rows])
 
     def _cut(self, theta: Mapping[str, float]) -> Windows:
@@ -501,11 +496,16 @@ class _Work:
         return replace(raw, cost=cost, xx=raw.xx + np.diag(self.precision), x=raw.x + away * self.precision)
 
     def drift(self, theta: Mapping[str, float]) -> tuple[Array, Array]:
-        """Return how far parameters have moved remembered states from where they began (S, W), and its slope by θ."""
+        """Return how far parameters have moved remembered states from where they began (S, W), and its slope by θ.
+
+        Plain zeros where nothing is remembered.
+        """
+        if not self.problem.memory:
+            return np.zeros(()), np.zeros(())
         drift = np.zeros_like(self.initial)
         slope = np.zeros((self.initial.shape[1], len(self.rows), len(self.problem.names)))
         for row, name in self.problem.memory.items():
-            followed, now = self._followed[row - len(STATE)], theta[name]
+            followed, now = self._led[row - len(STATE)], theta[name]
             at, beyond = (
                 self._starts(lagged(followed, self.problem.evidence, self._began[name], time))
                 for time in (now, now * (1.0 + MEMORY_STEP))
@@ -515,9 +515,9 @@ class _Work:
         return drift, slope
 
     def _starts(self, rows: Array) -> Array:
-        """Return what a row of the log (R,) is where windows start, (W,)."""
-        starts: Array = rows[self.problem.evidence.start]
-        return starts if self.index is None else starts[self.index]
+        """Return what rows of the log (…, R) are where windows start, (…, W)."""
+        starts: Array = rows[..., self.problem.evidence.start]
+        return starts if self.index is None else starts[..., self.index]
 
     def spread(self, line: Linear, moved: Array, damping: float) -> Array:
         """Return the step of the full initial states (S, W) when θ moves by `moved`."""

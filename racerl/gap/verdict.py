@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from racerl.gap.investigation import Investigation
 from racerl.gap.name import PARAMETER, Decision, Scored, excesses
@@ -126,9 +127,13 @@ def hidden(score: Score) -> tuple[str, ...]:
 
 def separable(score: Score) -> tuple[str, ...]:
     """Return the effects that would show at their usual size and look like no other that does."""
-    dark, cosines = hidden(score), np.abs(score.cosines())
+    dark, twins = hidden(score), alike(score)
+    return tuple(name for name, row in zip(score.names, twins, strict=True) if name not in dark and not row.any())
+
+
+def alike(score: Score) -> NDArray[np.bool_]:
+    """Return which effects that would show a linear test cannot tell from each other, (E, E)."""
+    dark = hidden(score)
     shown = np.array([name not in dark for name in score.names])
-    twins = (cosines > TWINS) & shown & ~np.eye(len(shown), dtype=bool)
-    return tuple(
-        name for name, seen, twin in zip(score.names, shown, twins.any(axis=1), strict=True) if seen and not twin
-    )
+    same: NDArray[np.bool_] = np.abs(score.cosines()) > TWINS
+    return same & np.outer(shown, shown) & ~np.eye(len(shown), dtype=bool)

@@ -2,7 +2,7 @@
 
 Formula: F_x/m, F_y/m and M_z/(10 J) gain A tanh(Σ_j c_j h_j/A), h_j = tanh(b_j + Σ_i w_ji z_i) over UNITS units;
     z_i are tanh(v_x/3), tanh(δ/0.2), tanh(r/3), tanh(v_y/0.5) and that of ten times the slip ratio.
-Source: a network with one hidden layer and a minimum-norm prior; nothing of it is meant to be understood.
+Source: a network with one hidden layer, its prior where it starts, without force; not meant to be understood.
 In data: `racerl gap` offers it beside `learned_residual` where that leaves something that a network takes away.
 Excited by: whatever the log holds; beyond its greatest speed, steering and yaw rate it fades.
 Confused with: nothing, since it stands for everything.
@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from racerl.vehicle.effects._fading import Fading
-from racerl.vehicle.effects.learned_residual import MOST_FORCE, MOST_MOMENT
+from racerl.vehicle.effects._fading import Fading, scaled
 from racerl.vehicle.ops import Ops, Scalar
 from racerl.vehicle.parameter import parameter
 
@@ -51,21 +50,10 @@ class LearnedNetwork(Weights):
 
     def wrench(self, wrench: "Wrench", forces: "Forces", motion: "Motion", ops: Ops) -> "Wrench":
         """Add what was learned."""
-        car = motion.car
-        slip = (motion.omega - motion.v_x) / car.slip_speed(motion.v_x, ops)
-        seen = [1.0, ops.tanh(motion.v_x / 3.0), ops.tanh(motion.delta / 0.2), ops.tanh(motion.yaw_rate / 3.0)]
-        seen += [ops.tanh(motion.v_y / 0.5), ops.tanh(10.0 * slip)]
+        seen = (1.0, *scaled(motion, ops))
         units = [
             ops.tanh(sum(getattr(self, f"unit_{j}_{name}") * z for name, z in zip(INPUTS, seen, strict=True)))
             for j in range(UNITS)
         ]
-        ahead, aside, about = (
-            sum(getattr(self, f"{name}_{j}") * unit for j, unit in enumerate(units)) for name in OUTPUTS
-        )
-        share = self.inside(motion, ops)
-        force, moment = share * car.mass * MOST_FORCE, share * car.yaw_inertia * MOST_MOMENT
-        return wrench._replace(
-            F_x=wrench.F_x + force * ops.tanh(ahead / MOST_FORCE),
-            F_y=wrench.F_y + force * ops.tanh(aside / MOST_FORCE),
-            M_z=wrench.M_z + moment * ops.tanh(10.0 * about / MOST_MOMENT),
-        )
+        learned = [sum(getattr(self, f"{name}_{j}") * unit for j, unit in enumerate(units)) for name in OUTPUTS]
+        return self.push(wrench, motion, learned, ops)

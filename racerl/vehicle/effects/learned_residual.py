@@ -11,14 +11,13 @@ Confused with: nothing, since it stands for everything.
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from racerl.vehicle.effects._fading import Fading
+from racerl.vehicle.effects._fading import Fading, scaled
 from racerl.vehicle.ops import Ops, Scalar
 from racerl.vehicle.parameter import parameter
 
 if TYPE_CHECKING:
     from racerl.vehicle.vehicle import Course, Forces, Motion, Wrench
 
-MOST_FORCE, MOST_MOMENT = 3.0, 30.0  # m/s² and rad/s²
 MOST_STEERING, MOST_DRIVE = 3.0, 20.0  # rad/s and m/s²
 
 
@@ -62,23 +61,14 @@ class LearnedResidual(Fading):
 
     def wrench(self, wrench: "Wrench", forces: "Forces", motion: "Motion", ops: Ops) -> "Wrench":
         """Add what was learned."""
-        car = motion.car
-        v, s = ops.tanh(motion.v_x / 3.0), ops.tanh(motion.delta / 0.2)
-        r, b = ops.tanh(motion.yaw_rate / 3.0), ops.tanh(motion.v_y / 0.5)
-        k = ops.tanh(10.0 * (motion.omega - motion.v_x) / car.slip_speed(motion.v_x, ops))
+        v, s, r, b, k = scaled(motion, ops)
         ahead = self.ahead_one + self.ahead_speed * v + self.ahead_speed_2 * v * v + self.ahead_steer_2 * s * s
         ahead = ahead + self.ahead_turn_2 * r * r + self.ahead_slip * k + self.ahead_slip_speed * k * v
         aside = self.aside_one + self.aside_steer * s + self.aside_turn * r + self.aside_drift * b
         aside = aside + v * (self.aside_steer_speed * s + self.aside_turn_speed * r) + self.aside_turn_slip * r * k
         about = self.about_one + self.about_steer * s + self.about_turn * r + self.about_drift * b
         about = about + v * (self.about_steer_speed * s + self.about_turn_speed * r) + self.about_turn_slip * r * k
-        share = self.inside(motion, ops)
-        force, moment = share * car.mass * MOST_FORCE, share * car.yaw_inertia * MOST_MOMENT
-        return wrench._replace(
-            F_x=wrench.F_x + force * ops.tanh(ahead / MOST_FORCE),
-            F_y=wrench.F_y + force * ops.tanh(aside / MOST_FORCE),
-            M_z=wrench.M_z + moment * ops.tanh(10.0 * about / MOST_MOMENT),
-        )
+        return self.push(wrench, motion, (ahead, aside, about), ops)
 
     def steering_rate(self, rate: Scalar, course: "Course", ops: Ops) -> Scalar:
         """Add what was learned of δ̇."""
