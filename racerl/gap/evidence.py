@@ -120,7 +120,7 @@ class Evidence:
             whole = int(np.floor(late))
             newer, older = (self._at(self.columns[name], rows - k) for k in (whole, whole + 1))
             return newer + (late - whole) * (older - newer), (newer - older) / self.dt
-        values, slopes = self._smoothed[name]
+        values, slopes = self.smoothed[name]
         place = 0.5 - late
         whole = int(np.floor(place))
         share = place - whole
@@ -136,7 +136,7 @@ class Evidence:
         return taken
 
     @cached_property
-    def _smoothed(self) -> dict[str, tuple[Array, Array]]:
+    def smoothed(self) -> dict[str, tuple[Array, Array]]:
         """Measured inputs and their slopes (R,), smoothed run by run."""
         return {name: self._smooth(name) for name in self.stage.inputs if name not in COMMANDS}
 

@@ -63,7 +63,7 @@ def _steps(evidence: Evidence) -> Array:
 
 def _measured(vehicle: Vehicle, evidence: Evidence) -> Array:
     """Return the car's own states, its inputs and the time until the next row, (11, R)."""
-    columns = evidence.columns
+    columns = {**evidence.columns, **{name: values for name, (values, _) in evidence.smoothed.items()}}
     table = np.zeros((AXES + 3, len(evidence.first)))
     for i, name in enumerate(STATE):
         if name in columns:

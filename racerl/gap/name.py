@@ -18,6 +18,7 @@ from racerl.gap.score import Score, summed
 Array = NDArray[np.float64]
 SHORTLIST, CONTINUED = 8, 4  # candidates of each stage that are screened, and fitted to the end
 FAINT = 0.15  # of the most gain in screening, below which a candidate is given up
+FORETOLD, FIRST = 0.5, 2  # of the most first-order gain, above which so many are fitted whatever screening says
 CLOSE = 0.5  # of the most gain, above which a candidate's fit is carried on to its end
 HOPELESS = 30.0  # first-order gain, a χ², below which no effect is worth a fit
 ROUNDS = 4
@@ -83,8 +84,9 @@ def name_effects(
     scores = investigation.scores(base)
     decision = Decision([], base, cost, summed(scores.values()), excess=[excess(investigation, cost)])
     for number in range(ROUNDS):
-        shortlist = _shortlist(investigation.scores(decision.found) if number else scores)
-        scored = _round(judge, decision, shortlist, _within(on_progress, number))
+        if number:
+            scores = investigation.scores(decision.found)
+        scored = _round(judge, decision, scores, _within(on_progress, number))
         decision.rounds.append(scored)
         if not scored or not scored[0].clear or min(scored[0].explained, scored[0].worth) < WORTH:
             break
@@ -100,16 +102,17 @@ def _within(on_progress: Callable[[str, float], None], number: int) -> Callable[
 
 
 def _round(
-    judge: "Judge", decision: Decision, shortlist: Sequence[str], on_progress: Callable[[str, float], None]
+    judge: "Judge", decision: Decision, scores: Mapping[str, Score], on_progress: Callable[[str, float], None]
 ) -> list[Scored]:
     """Return the candidates beside those chosen, on held-out windows, best first."""
     investigation, current = judge.investigation, decision.found
-    tried = []
+    tried, shortlist = [], _shortlist(scores)
     for i, name in enumerate(shortlist):
         on_progress(name, i / len(shortlist))
         tried.append(investigation.screen(current, name))
-    hopeful = [each for stage in investigation.evidence for each in _hopeful(tried, stage)]
-    scored = [judge.score(each.name, investigation.add(current, each), decision.cost) for each in hopeful]
+    shown = [each for each in tried if each is not None]
+    hopeful = {each.name: each for name, score in scores.items() for each in _hopeful(shown, score, name)}
+    scored = [judge.score(name, investigation.add(current, each), decision.cost) for name, each in hopeful.items()]
     most = max((row.gain for row in scored), default=0.0)
     near = [row.gain > max(CLOSE * most, CLEAR * row.error) for row in scored]
     scored = [
@@ -137,11 +140,19 @@ def _shortlist(scores: Mapping[str, Score]) -> list[str]:
     return list(dict.fromkeys(names))
 
 
-def _hopeful(tried: Sequence[Screened | None], stage: str) -> list[Screened]:
-    """Return the candidates that help most of those whose gain is mainly in one stage."""
-    mine = [each for each in tried if each is not None and each.stage == stage and each.gain > 0.0]
+def _hopeful(tried: Sequence[Screened], score: Score, stage: str) -> list[Screened]:
+    """Return the candidates that screening found to help one stage most, and those that should by first-order theory.
+
+    A few steps do not lead every effect to where it helps.
+    """
+    mine = [each for each in tried if each.stage == stage and each.gain > 0.0]
     mine.sort(key=lambda each: -each.gain)
-    return [each for each in mine[:CONTINUED] if each.gain > FAINT * mine[0].gain]
+    found = [each for each in mine[:CONTINUED] if each.gain > FAINT * mine[0].gain]
+    gains = score.gains()
+    most = max(HOPELESS, *gains.values())
+    foretold = [each for each in tried if gains.get(each.name, 0.0) > FORETOLD * most]
+    foretold.sort(key=lambda each: -gains[each.name])
+    return [*found, *foretold[:FIRST]]
 
 
 def _without_needless(judge: "Judge", decision: Decision) -> Decision:

@@ -25,7 +25,7 @@ from racerl.vehicle.vehicle import STATE, Vehicle
 Array = NDArray[np.float64]
 OWN_SPREAD = 0.5  # deviation of own initial states, in their spread over the windows
 MEMORY_STEP = 1e-3  # of a time constant, to see how it leads own states
-FIXED = 1e-6  # deviation of states that are known, such as clocks
+FIXED = 1e-6  # deviation of own initial states that the drive so far tells
 WORST = 1e8  # damping at which no step helps any more
 HELD_DAMPING = 1e-2  # of the step to a fold's parameters, at first
 SPOILT = 1.02  # times the cost of the windows that a step was made from, above which it went too far
@@ -467,7 +467,9 @@ class _Work:
         """Return 1/s_0² of an initial state; zero for the car's own."""
         if name in STATE:
             return self.problem.evidence.trust(name)
-        spread = FIXED if name.endswith((".clock", ".heat")) else OWN_SPREAD * float(np.std(row)) + 1e-4
+        effect, _, state = name.partition(".")
+        told = state in self.problem.vehicle.effects[effect].told
+        spread = FIXED if told else OWN_SPREAD * float(np.std(row)) + 1e-4
         return spread**-2
 
     def take(self, initial: Array) -> None:

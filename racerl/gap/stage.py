@@ -24,9 +24,7 @@ from racerl.vehicle.rollout import Equations, Rollout, drive_by
 from racerl.vehicle.vehicle import Vehicle
 
 SHIFTS = ("shift.steering", "shift.drive")  # s, of the two inputs
-UNDO = (
-    3  # passes of the fixed-point iteration that inverts a sensor; each takes its error to the power of two or better
-)
+UNDO = 3  # passes of the fixed-point iteration that inverts a sensor; each takes its error to its square or better
 
 
 @dataclass(frozen=True)

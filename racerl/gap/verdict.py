@@ -60,7 +60,8 @@ def judge(investigation: Investigation, decision: Decision) -> Verdict:
     if stage:
         reason = f"{' and '.join(effects)} helps, but leaves {left / first:.0%} of the excess in the {stage} stage"
         return Verdict("unknown", effects, (), blind, reason)
-    total, rest = (sum(max(0.0, part) for part in parts.values()) for parts in (before, after))
+    touched = investigation.touched(decision.found.vehicle, frozenset(effects))  # elsewhere an excess is chance
+    total, rest = (sum(max(0.0, parts[stage]) for stage in touched) for parts in (before, after))
     share = 1.0 - rest / max(total, 1e-9)
     coarse = rest > COARSE * sum(investigation.floor.values())
     if not coarse and share < CREDIBLE:

@@ -13,7 +13,9 @@ from racerl.errors import ConfigError, LogError, RunError
 from racerl.gap.diagnose import gap, next_manoeuvre
 from racerl.gap.evidence import Evidence, contradictory
 from racerl.gap.growth import growth, places
+from racerl.gap.investigation import Screened
 from racerl.gap.locate import _test
+from racerl.gap.name import _hopeful
 from racerl.gap.plan import plan, telling
 from racerl.gap.prove import explained
 from racerl.gap.score import Score
@@ -300,19 +302,24 @@ def test_the_next_manoeuvre_is_what_would_decide():
     ("chosen", "excess", "kind"),
     [
         (["aero_drag"], [1000.0, 20.0], "named"),
-        (
-            ["aero_drag"],
-            [1000.0, 540.0],
-            "under_excited",
-        ),  # helps, but the little that is there is mostly something else
+        (["aero_drag"], [1000.0, 540.0], "under_excited"),  # the little that is there is mostly something else
         (["aero_drag"], [9e6, 5e6], "named"),  # a real car: noise is no yardstick
         ([], [100.0], "none"),
     ],
 )
 def test_a_name_must_explain_most_of_a_small_excess(monkeypatch, chosen, excess, kind):
     monkeypatch.setattr("racerl.gap.verdict.open_stage", lambda *_: ("", 0.0, 0.0))
-    monkeypatch.setattr("racerl.gap.verdict.fitted", lambda *_: ({"chassis": excess[0]}, {"chassis": excess[-1]}))
-    investigation = SimpleNamespace(floor={"chassis": 1e5})
+    before, after = ({"chassis": each, "steering": 800.0} for each in (excess[0], excess[-1]))  # steering's is chance
+    monkeypatch.setattr("racerl.gap.verdict.fitted", lambda *_: (before, after))
+    investigation = SimpleNamespace(floor={"chassis": 1e5, "steering": 1e4}, touched=lambda *_: ["chassis"])
     score = Score(["aero_drag", "downforce"], np.diag([900.0, 900.0]), np.zeros(2))
-    verdict = judge(investigation, SimpleNamespace(chosen=chosen, rounds=[], score=score))
+    found = SimpleNamespace(vehicle=None)
+    verdict = judge(investigation, SimpleNamespace(chosen=chosen, found=found, rounds=[], score=score))
     assert verdict.kind == kind and verdict.effects == (() if kind in ("under_excited", "none") else ("aero_drag",))
+
+
+def test_a_candidate_that_a_few_steps_led_astray_is_fitted_where_theory_foretells_a_gain():
+    screened = [Screened(n, None, gain, "chassis") for n, gain in (("drag", 900.0), ("roll", -2e3), ("bank", 30.0))]
+    score = Score(["roll", "drag", "bank"], np.eye(3), np.sqrt([2e4, 4e3, 5e3]))
+    assert [each.name for each in _hopeful(screened, score, "chassis")] == ["drag", "roll"]
+    assert [each.name for each in _hopeful(screened, dataclasses.replace(score, g=np.zeros(3)), "chassis")] == ["drag"]

@@ -30,6 +30,7 @@ class Effect:
     physical: ClassVar[bool] = True  # of the catalogue
     known: ClassVar[tuple[str, ...]] = ()  # parameters that no fit changes
     memory: ClassVar[tuple[str, ...]] = ()  # time constants of own states that are first-order lags over seconds
+    told: ClassVar[tuple[str, ...]] = ()  # own states that the drive so far tells, whatever a window of a second shows
 
     def key(self, state: str) -> str:
         """Return the name under which this effect finds one of its own states in `own`."""

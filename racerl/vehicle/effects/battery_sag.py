@@ -26,6 +26,7 @@ class BatterySag(Effect):
     rate: Scalar = parameter("1/s", 0.0, 0.01, "k")
 
     states: ClassVar[tuple[str, ...]] = ("clock",)
+    told: ClassVar[tuple[str, ...]] = states
     uniform: ClassVar[bool] = False
 
     def command(

@@ -27,6 +27,7 @@ class FrictionFade(Effect):
     rate: Scalar = parameter("1/s", -0.005, 0.005, "k, positive for a loss")
 
     states: ClassVar[tuple[str, ...]] = ("clock",)
+    told: ClassVar[tuple[str, ...]] = states
     uniform: ClassVar[bool] = False
 
     def grip(self, friction: Pair, motion: "Motion", ops: Ops) -> Pair:

@@ -29,6 +29,7 @@ class TyreHeating(Effect):
     time: Scalar = parameter("s", 1.0, 60.0, "τ to warm up and cool down", 20.0)
 
     states: ClassVar[tuple[str, ...]] = ("heat",)
+    told: ClassVar[tuple[str, ...]] = states
     memory: ClassVar[tuple[str, ...]] = ("time",)
     uniform: ClassVar[bool] = False
 
