@@ -7,7 +7,7 @@ from racerl.documents import read_yaml
 from racerl.vehicle import catalogue
 from racerl.vehicle.effects import Effect
 
-SIZES = (1.0, 0.25)  # of the usual values, where only one sign is physical
+SIZES = (1.0, 0.25, 4.0)  # of the usual values, where only one sign is physical
 
 
 def starts(name: str, folder: Path) -> list[Effect]:
@@ -19,7 +19,8 @@ def starts(name: str, folder: Path) -> list[Effect]:
     away = usual[first] - zero
     if bounds.low <= zero - away <= bounds.high and (bounds.low < 0.0 or zero == 1.0):
         return [effect, replace(effect, **{first: zero - away})]
-    return [replace(effect, **{first: zero + size * away}) for size in SIZES]
+    sizes = [zero + size * away for size in SIZES]
+    return [replace(effect, **{first: size}) for size in sizes if bounds.low <= size <= bounds.high]
 
 
 def neutral(name: str) -> tuple[str, float]:

@@ -17,7 +17,7 @@ from racerl.gap.catalogue import placed
 from racerl.gap.evidence import Evidence
 from racerl.gap.growth import places
 from racerl.gap.kernels import StageKernels
-from racerl.gap.problem import Fit, Problem, StageProblem, Unknown, expected_errors
+from racerl.gap.problem import Fit, Problem, StageProblem, Unknown, expected_errors, loss, usual_cost
 from racerl.gap.score import Score, score, summed
 from racerl.identify.unknowns import Unknowns
 from racerl.vehicle.effects import Effect
@@ -31,6 +31,7 @@ NOMINAL, SCREEN, REFINE = 20, 3, 8  # most iterations of the nominal fit, of scr
 ASTRAY = 1.3  # times the noise's cost, beyond which a fit says little of the parameters
 PLACES, REACH = 2, 1.5  # of an effect that lies somewhere: places that fits start from, and their size in m
 SAMPLED = 3  # every which window screening looks at
+BEST = 2  # starts that screening carries on where the fit is astray
 STRETCH = 6  # windows that are held out together
 EVEN = 0.05  # excess over the noise's cost at which an actuator's command counts as rightly timed
 MENDED = 0.2  # share of an excess that a half sample must take away for the command's timing to be looked into
@@ -224,27 +225,35 @@ class Investigation:
     def screen(self, base: Found, name: str) -> Screened | None:
         """Add an effect to a fitted vehicle: a few steps from each of its usual sizes, on a share of the windows.
 
-        Where the fit is astray, all parameters but the effects' start as configured. Return the best; None where no
-        stage shows the effect.
+        Where the fit is astray, all parameters but the effects' start as configured, too, and the best go on. Return
+        the best; None where no stage shows the effect.
         """
-        best: Screened | None = None
-        for effect in self._likely(base, name):
-            vehicle = with_effect(base.vehicle, name, effect)
-            if name == COG:
-                vehicle = replace_values(vehicle, {"l_f": self.vehicle.l_f})
-            stages = self.touched(vehicle, frozenset([name]))
-            if not stages:
-                return None
-            iterations = SCREEN
-            if self._astray(base, stages):
-                vehicle, iterations = replace(self.vehicle, effects=vehicle.effects), REFINE
-            some = {stage: np.arange(len(self.evidence[stage].start))[::SAMPLED] for stage in stages}
-            found = self._fit(base.effects | {name}, vehicle, self._start(base, stages), iterations, stages, some)
-            gains = {s: float((self.cost(base, s)[some[s]] - found.cost[s]).sum()) for s in stages}
-            gain = sum(gains.values())
-            if best is None or gain > best.gain:
-                best = Screened(name, found.vehicle, gain, max(gains, key=lambda s: gains[s]))
-        return best
+        likely = [with_effect(base.vehicle, name, effect) for effect in self._likely(base, name)]
+        if name == COG:
+            likely = [replace_values(vehicle, {"l_f": self.vehicle.l_f}) for vehicle in likely]
+        stages = self.touched(likely[0], frozenset([name])) if likely else []
+        if not stages:
+            return None
+        astray = self.beyond(base, stages) > ASTRAY
+        if astray:
+            likely += [replace(self.vehicle, effects=vehicle.effects) for vehicle in likely]
+        tried = [self._try(base, name, vehicle, stages, SCREEN) for vehicle in likely]
+        if astray:
+            tried.sort(key=lambda each: -each.gain)
+            tried += [self._try(base, name, each.vehicle, stages, REFINE) for each in tried[:BEST]]
+        return max(tried, key=lambda each: each.gain)
+
+    def _try(self, base: Found, name: str, vehicle: Vehicle, stages: Sequence[str], iterations: int) -> Screened:
+        """Return where some iterations on a share of the windows lead a vehicle with an effect more."""
+        some = {stage: np.arange(len(self.evidence[stage].start))[::SAMPLED] for stage in stages}
+        found = self._fit(base.effects | {name}, vehicle, self._start(base, stages), iterations, stages, some)
+        gains = {s: self._fall(s, self.cost(base, s)[some[s]], found.cost[s]) for s in stages}
+        return Screened(name, found.vehicle, sum(gains.values()), max(gains, key=lambda s: gains[s]))
+
+    def _fall(self, stage: str, before: Array, after: Array) -> float:
+        """Return the fall of the loss of a stage's windows."""
+        usual = usual_cost(self.evidence[stage], before)
+        return float((loss(before, usual) - loss(after, usual)).sum())
 
     def _likely(self, base: Found, name: str) -> list[Effect]:
         """Return the starts of an effect; one that lies somewhere starts where errors grow most.
@@ -260,10 +269,10 @@ class Investigation:
         errors, noise = self.errors(found)["chassis"], self.noise["chassis"]
         return [replace(starts[0], **{"x": x, "y": y}) for x, y in places(evidence, errors, noise, REACH, PLACES)]
 
-    def _astray(self, base: Found, stages: Iterable[str]) -> bool:
-        """Return whether a fit is so far from the noise that it may have led the parameters astray."""
+    def beyond(self, base: Found, stages: Iterable[str]) -> float:
+        """Return a fit's cost in some stages, in that of the noise: far above 1 the parameters may be astray."""
         names = list(stages)
-        return sum(self.cost(base, name).sum() for name in names) > ASTRAY * sum(self.floor[name] for name in names)
+        return float(sum(self.cost(base, n).sum() for n in names) / sum(self.floor[n] for n in names))
 
     def scores(self, base: Found) -> dict[str, Score]:
         """Return the score of every effect that a fitted vehicle lacks, per stage."""

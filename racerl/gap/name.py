@@ -5,7 +5,7 @@ that is no longer needed beside the others is taken out again.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from racerl.gap.catalogue import neutral, placed
 from racerl.gap.investigation import Found, Investigation, Screened
+from racerl.gap.problem import loss
 from racerl.gap.score import Score, summed
 
 Array = NDArray[np.float64]
@@ -20,6 +21,7 @@ SHORTLIST, CONTINUED = 8, 4  # candidates of each stage that are screened, and f
 FAINT = 0.15  # of the most gain in screening, below which a candidate is given up
 FORETOLD, FIRST = 0.5, 2  # of the most first-order gain, above which so many are fitted whatever screening says
 CLOSE = 0.5  # of the most gain, above which a candidate's fit is carried on to its end
+LOST = 5.0  # times the noise's cost, beyond which a fit says nothing of what is missing
 HOPELESS = 30.0  # first-order gain, a χ², below which no effect is worth a fit
 ROUNDS = 4
 RESAMPLES = 2000
@@ -106,7 +108,8 @@ def _round(
 ) -> list[Scored]:
     """Return the candidates beside those chosen, on held-out windows, best first."""
     investigation, current = judge.investigation, decision.found
-    tried, shortlist = [], _shortlist(scores)
+    lost = {stage for stage in scores if investigation.beyond(current, [stage]) > LOST}
+    tried, shortlist = [], _shortlist(scores, lost)
     for i, name in enumerate(shortlist):
         on_progress(name, i / len(shortlist))
         tried.append(investigation.screen(current, name))
@@ -114,7 +117,7 @@ def _round(
     hopeful = {each.name: each for name, score in scores.items() for each in _hopeful(shown, score, name)}
     scored = [judge.score(name, investigation.add(current, each), decision.cost) for name, each in hopeful.items()]
     most = max((row.gain for row in scored), default=0.0)
-    near = [row.gain > max(CLOSE * most, CLEAR * row.error) for row in scored]
+    near = [row.gain > max(CLOSE * most, row.error) for row in scored]
     scored = [
         judge.score(row.name, investigation.converged(row.found), decision.cost) if close else row
         for row, close in zip(scored, near, strict=True)
@@ -129,12 +132,15 @@ def _round(
     return [replace(row, behind=judge.behind(scored[0], row, decision.cost)) for row in scored]
 
 
-def _shortlist(scores: Mapping[str, Score]) -> list[str]:
-    """Return the effects with the largest first-order gains in each stage, since stages do not compete."""
+def _shortlist(scores: Mapping[str, Score], lost: Collection[str]) -> list[str]:
+    """Return the effects with the largest first-order gains in each stage, since stages do not compete.
+
+    Where a fit is lost, first-order theory says nothing, and all are looked at.
+    """
     names: list[str] = []
     for stage, score in scores.items():
         gains = {name: gain for name, gain in score.gains().items() if gain > HOPELESS}
-        names += sorted(gains, key=lambda name: -gains[name])[:SHORTLIST]
+        names += sorted(gains, key=lambda name: -gains[name])[: None if stage in lost else SHORTLIST]
         if stage == "chassis" and gains:  # the score knows one place only
             names += [name for name in score.names if placed(name)]
     return list(dict.fromkeys(names))
@@ -276,6 +282,5 @@ class Judge:
         return np.concatenate(parts)
 
     def loss(self, stage: str, cost: Array) -> Array:
-        """Return n log(1 + cost/n), n the cost of a usual window: one that no fit foresaw does not decide alone."""
-        n = wild(self.investigation, stage) / WILD
-        return n * np.log1p(cost / n)
+        """Return what windows count for: one that no fit foresaw does not decide alone."""
+        return loss(cost, wild(self.investigation, stage) / WILD)

@@ -1,9 +1,12 @@
 """What a fit of the gap workflow minimises: squared errors over the noise, summed over stages that share parameters.
 
-    F(θ, x_0) = Σ_stages Σ_c,t ((y − m)/σ_c)² + Σ ((θ − θ_0)/s)² + Σ_own ((x_0 − x̄_0)/s_0)²
+    F(θ, x_0) = Σ_stages Σ_windows ρ(c) + Σ ((θ − θ_0)/s)²
+    c = Σ_c,t ((y − m)/σ_c)² + Σ_own ((x_0 − x̄_0)/s_0)²,    ρ(c) = 2√2 n (√(1 + c/n) − 1)
 
-Every window has a free initial state x_0; the effects' own states begin near where the measured motion puts them.
-Levenberg–Marquardt on the normal equations, initial states eliminated window by window.
+Every window has a free initial state x_0; the effects' own states begin near where the measured motion puts them. With
+n the cost of a usual window, ρ (Charbonnier's) counts such windows by their cost and those that no vehicle foresees, a
+spin, by its root: they do not decide alone. Levenberg–Marquardt on the normal equations with windows weighted by
+ρ'(c), initial states eliminated window by window.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -27,6 +30,7 @@ OWN_SPREAD = 0.5  # deviation of own initial states, in their spread over the wi
 MEMORY_STEP = 1e-3  # of a time constant, to see how it leads own states
 FIXED = 1e-6  # deviation of own initial states that the drive so far tells
 WORST = 1e8  # damping at which no step helps any more
+SETTLING, ENOUGH = 4, 0.01  # most steps of initial states alone; share of its cost that one of them must take
 HELD_DAMPING = 1e-2  # of the step to a fold's parameters, at first
 SPOILT = 1.02  # times the cost of the windows that a step was made from, above which it went too far
 
@@ -215,15 +219,29 @@ class Linear:
             t=self.t + np.einsum("wna,wa->wn", back, self.x),
         )
 
-    def reduced(self, damping: float) -> tuple[Array, Array]:
-        """Return H (W, N, N) and g (W, N) over θ with each window's initial state eliminated."""
+    def reduced(self, damping: float, usual: float = np.inf) -> tuple[Array, Array]:
+        """Return H (W, N, N) and g (W, N) over θ with each window's initial state eliminated, weighted by ρ'(c)."""
         gain = self.tx @ self.inverse(damping)
-        return self.tt - gain @ self.tx.transpose(0, 2, 1), self.t - np.einsum("wnx,wx->wn", gain, self.x)
+        weight = np.sqrt(2.0 / (1.0 + self.cost / usual)) if np.isfinite(usual) else np.ones_like(self.cost)
+        H = self.tt - gain @ self.tx.transpose(0, 2, 1)
+        g = self.t - np.einsum("wnx,wx->wn", gain, self.x)
+        return weight[:, None, None] * H, weight[:, None] * g
 
     def follow(self, moved: Array, damping: float) -> Array:
         """Return the initial states' own step (A, W) when θ moves by `moved`."""
         gradient = self.x + np.einsum("wnx,n->wx", self.tx, moved)
         return -np.einsum("wxy,wy->xw", self.inverse(damping), gradient)
+
+
+def usual_cost(evidence: Evidence, cost: Array) -> float:
+    """Return n, the cost of a stage's usual window: that of noise, or what half of the windows have and more."""
+    return max(float(evidence.numbers), float(np.median(cost)))
+
+
+def loss(cost: Array, usual: float) -> Array:
+    """Return ρ(c) of windows' costs, n the cost of a usual window; ρ'(n) = 1."""
+    found: Array = 2.0 * np.sqrt(2.0) * usual * (np.sqrt(1.0 + cost / usual) - 1.0)
+    return found
 
 
 @dataclass
@@ -232,9 +250,13 @@ class Fit:
 
     theta: dict[str, float]
     initial: list[Array]
-    total: float
     lines: list[Linear]
+    usual: list[float]  # cost of a usual window
     converged: bool
+
+    def reduced(self) -> list[tuple[Array, Array]]:
+        """Return each stage's H and g (W, …) over θ, windows weighted, with initial states eliminated."""
+        return [line.reduced(0.0, usual) for line, usual in zip(self.lines, self.usual, strict=True)]
 
     @property
     def cost(self) -> list[Array]:
@@ -261,7 +283,7 @@ class Problem:
         initial: Sequence[Array] | None = None,
         index: Sequence[NDArray[np.int64]] | None = None,
         iterations: int = 8,
-        tolerance: float = 3e-4,
+        tolerance: float = 1e-4,
     ) -> Fit:
         """Minimise F over some windows of each stage (all unless given), until it falls by less than `tolerance`."""
         work = [_Work(stage, theta, None if index is None else index[i]) for i, stage in enumerate(self.stages)]
@@ -269,35 +291,43 @@ class Problem:
             if initial is not None:
                 stage.take(initial[i])
         vector = np.array([theta[name] for name in self.names])
-        at = self._evaluate(work, vector)
+        lines = self._lines(work, vector)
+        usual = [usual_cost(stage.evidence, line.cost) for stage, line in zip(self.stages, lines, strict=True)]
+        at = self._total_loss(vector, lines, usual), lines
         damping, converged = 1e-3, False
         for _ in range(iterations):
             while True:
-                trial, moves = self._step(work, at, vector, damping)
+                trial, moves = self._step(work, at[1], usual, vector, damping)
                 before = [stage.initial for stage in work]
                 for stage, move in zip(work, moves, strict=True):
-                    stage.initial = stage.initial + move
-                there = self._evaluate(work, trial)
+                    stage.begin(self._named(trial), stage.initial + move, stage.initial)
+                lines = self._lines(work, trial)
+                there = self._total_loss(trial, lines, usual), lines
                 if there[0] <= at[0]:
                     break
                 for stage, kept in zip(work, before, strict=True):
                     stage.initial = kept
                 damping *= 8.0
                 if damping > WORST:
-                    return self._result(work, vector, at, True)
+                    return self._result(work, vector, at[1], usual, True)
             gain = (at[0] - there[0]) / max(at[0], 1e-300)
             vector, at, damping = trial, there, max(damping / 8.0, 1e-7)
             if gain < tolerance:
                 converged = True
                 break
-        return self._result(work, vector, at, converged)
+        return self._result(work, vector, at[1], usual, converged)
 
-    def _evaluate(self, work: Sequence["_Work"], vector: Array) -> tuple[float, list[Linear]]:
-        theta = dict(zip(self.names, vector.tolist(), strict=True))
-        lines = [stage.linearise(theta) for stage in work]
-        total = sum(float(line.cost.sum()) for line in lines)
+    def _lines(self, work: Sequence["_Work"], vector: Array) -> list[Linear]:
+        return [stage.linearise(self._named(vector)) for stage in work]
+
+    def _named(self, vector: Array) -> dict[str, float]:
+        return dict(zip(self.names, vector.tolist(), strict=True))
+
+    def _total_loss(self, vector: Array, lines: Sequence[Linear], usual: Sequence[float]) -> float:
+        """Return F."""
+        total = sum(float(loss(line.cost, each).sum()) for line, each in zip(lines, usual, strict=True))
         total += float((((vector - self.mean) / self.scale) ** 2).sum())
-        return (total if np.isfinite(total) else np.inf), lines
+        return total if np.isfinite(total) else np.inf
 
     def _total(
         self, reduced: Sequence[tuple[Array, Array]], windows: Sequence[NDArray[np.bool_]] | None = None
@@ -324,15 +354,15 @@ class Problem:
         return moved
 
     def _step(
-        self, work: Sequence["_Work"], at: tuple[float, list[Linear]], vector: Array, damping: float
+        self, work: Sequence["_Work"], lines: Sequence[Linear], usual: Sequence[float], vector: Array, damping: float
     ) -> tuple[Array, list[Array]]:
         """Return θ after a damped step, and what each stage's initial states move by."""
-        H, g = self._total([line.reduced(damping) for line in at[1]])
+        H, g = self._total([line.reduced(damping, each) for line, each in zip(lines, usual, strict=True)])
         g += (vector - self.mean) / self.scale**2
         trial = self._moved(H, g, vector, damping) if len(vector) else vector
         moves = [
             stage.spread(line, (trial - vector)[self._places(stage.problem)], damping)
-            for stage, line in zip(work, at[1], strict=True)
+            for stage, line in zip(work, lines, strict=True)
         ]
         return trial, moves
 
@@ -340,9 +370,11 @@ class Problem:
         """Return where the names of a stage stand in θ."""
         return [self.names.index(name) for name in stage.names]
 
-    def _result(self, work: Sequence["_Work"], vector: Array, at: tuple[float, list[Linear]], converged: bool) -> Fit:
-        theta = dict(zip(self.names, vector.tolist(), strict=True))
-        return Fit(theta, [stage.initial + stage.drift(theta)[0] for stage in work], at[0], at[1], converged)
+    def _result(
+        self, work: Sequence["_Work"], vector: Array, lines: list[Linear], usual: list[float], converged: bool
+    ) -> Fit:
+        theta = self._named(vector)
+        return Fit(theta, [stage.initial + stage.drift(theta)[0] for stage in work], lines, usual, converged)
 
     def held_out(self, fit: Fit, folds: Sequence[Sequence[NDArray[np.bool_]]]) -> list[Array]:
         """Return the cost of every window (W,) per stage, under parameters that were found without its fold."""
@@ -356,7 +388,7 @@ class Problem:
         errors = [np.zeros((s.evidence.length + 1, len(s.sigma), len(s.evidence.start))) for s in self.stages]
         for i, mask, work in self._held(fit, folds):
             work.settled()
-            errors[i][:, :, mask] = work.errors()
+            errors[i][:, :, mask] = work.errors({})
         return errors
 
     def _held(
@@ -368,16 +400,18 @@ class Problem:
         θ − θ_f = −H_f̄⁻¹ g_f with H_f̄ of the windows outside and g_f of those inside of it, damped where the data say
         little; the initial states of its windows follow.
         """
-        reduced = [line.reduced(0.0) for line in fit.lines]
+        reduced = fit.reduced()
         for fold in folds:
             seen = [~mask for mask in fold]
             H, _ = self._total(reduced, seen)
             _, g = self._total(reduced, fold)
-            before = sum(float(line.cost[mask].sum()) for line, mask in zip(fit.lines, seen, strict=True))
+            parts = zip(fit.lines, fit.usual, seen, strict=True)
+            before = sum(float(loss(line.cost[mask], usual).sum()) for line, usual, mask in parts)
             damping = HELD_DAMPING
             while True:  # until the step spoils the windows that it was made from no longer
-                trained = list(self._at(fit, self._moved(H, -g, self._vector(fit), damping), seen))
-                if sum(float(work.squares().sum()) for _, _, work in trained) < SPOILT * before or damping > WORST:
+                trained = self._at(fit, self._moved(H, -g, self._vector(fit), damping), seen)
+                after = sum(float(loss(work.squares({}), fit.usual[i]).sum()) for i, _, work in trained)
+                if after < SPOILT * before or damping > WORST:
                     break
                 damping *= 30.0
             yield from self._at(fit, self._moved(H, -g, self._vector(fit), damping), fold)
@@ -390,7 +424,7 @@ class Problem:
     ) -> Iterator[tuple[int, NDArray[np.bool_], "_Work"]]:
         """Yield (stage, windows, work) for some windows at other parameters, initial states following."""
         step = moved - self._vector(fit)
-        theta = dict(zip(self.names, moved.tolist(), strict=True))
+        theta = self._named(moved)
         for i, (stage, line, mask) in enumerate(zip(self.stages, fit.lines, masks, strict=True)):
             if mask.any():
                 work = _Work(replace(stage, names=(), vehicle=_with(stage.vehicle, theta)), {}, np.flatnonzero(mask))
@@ -399,7 +433,7 @@ class Problem:
                 start[work.rows] += line.follow(step[self._places(stage)], 0.0)[:, mask]
                 for row in stage.memory:
                     kept[row] = start[row] = work.initial[row]
-                work.begin(kept, start)
+                work.begin({}, kept, start)
                 yield i, mask, work
 
     def covariance(self, fit: Fit, blocks: Sequence[NDArray[np.int64]]) -> Array:
@@ -407,7 +441,7 @@ class Problem:
 
         A⁻¹ (Σ_b g_b g_bᵀ) A⁻¹ with A = H and the priors, g_b the gradient of a block.
         """
-        reduced = [line.reduced(0.0) for line in fit.lines]
+        reduced = fit.reduced()
         H, _ = self._total(reduced)
         inverse = np.linalg.inv(H + np.diag(self.scale**-2.0))
         meat = np.zeros_like(H)
@@ -435,7 +469,7 @@ def expected_errors(stage: StageProblem, theta: Mapping[str, float], initial: Ar
     work.windows = replace(work.windows, measured=np.ascontiguousarray(shown))
     work.initial = initial.copy()
     work.settled()
-    return work.errors()
+    return work.errors({})
 
 
 class _Work:
@@ -463,6 +497,11 @@ class _Work:
         windows = self.problem.windows(theta)
         return windows if self.index is None else windows.take(self.index)
 
+    def _shift(self, theta: Mapping[str, float]) -> None:
+        shifts = self.problem.shifts(theta)
+        if shifts != self._shifts:
+            self.windows, self._shifts = self._cut(theta), shifts
+
     def _precision(self, name: str, row: Array) -> float:
         """Return 1/s_0² of an initial state; zero for the car's own."""
         if name in STATE:
@@ -478,9 +517,7 @@ class _Work:
 
     def linearise(self, theta: Mapping[str, float]) -> Linear:
         """Return cost, H and g of every window."""
-        shifts = self.problem.shifts(theta)
-        if shifts != self._shifts:
-            self.windows, self._shifts = self._cut(theta), shifts
+        self._shift(theta)
         drift, slope = self.drift(theta)
         windows = replace(self.windows, initial=self.initial + drift)
         with np.errstate(all="ignore"):
@@ -488,14 +525,19 @@ class _Work:
                 self.problem.parameters(theta), windows, self.problem.threads, self.columns, self.silent
             )
         M = self.mixing
-        raw = Linear.of(parts, len(M), np.zeros((len(self.rows), len(self.rows)))).mixed(M)
-        if self.problem.memory:
-            raw = raw.led(slope)
-        away = (self.initial[self.rows] - self.rest).T  # (W, A)
+        with np.errstate(invalid="ignore"):  # windows that blow up make the cost infinite
+            raw = Linear.of(parts, len(M), np.zeros((len(self.rows), len(self.rows)))).mixed(M)
+            if self.problem.memory:
+                raw = raw.led(slope)
+        away = self._away()
         cost = raw.cost + (away**2 * self.precision).sum(axis=1)
         if not np.isfinite(parts.H).all():
             cost = np.full_like(cost, np.inf)
         return replace(raw, cost=cost, xx=raw.xx + np.diag(self.precision), x=raw.x + away * self.precision)
+
+    def _away(self) -> Array:
+        """Return how far initial states are from where the measured motion puts them, (W, A)."""
+        return (self.initial[self.rows] - self.rest).T
 
     def drift(self, theta: Mapping[str, float]) -> tuple[Array, Array]:
         """Return how far parameters have moved remembered states from where they began (S, W), and its slope by θ.
@@ -527,32 +569,35 @@ class _Work:
         step[self.rows] = line.follow(moved, damping)
         return step
 
-    def begin(self, *initials: Array) -> None:
+    def begin(self, theta: Mapping[str, float], *initials: Array) -> None:
         """Start every window from the initial state that fits it best."""
-        squares = []
+        costs = []
         for initial in initials:
             self.initial = initial
-            squares.append(self.squares())
-        best = np.argmin(np.nan_to_num(squares, nan=np.inf), axis=0)
+            costs.append(self.squares(theta) + (self._away() ** 2 * self.precision).sum(axis=1))
+        best = np.argmin(np.nan_to_num(costs, nan=np.inf), axis=0)
         self.initial = np.choose(best, initials)
 
     def settled(self) -> Array:
-        """Return the cost per window once every initial state has taken its own best step, if that helps."""
-        before, kept = self.linearise({}), self.initial
-        self.initial = kept + self.spread(before, np.zeros(0), 0.0)
-        after = self.linearise({})
-        better = after.cost < before.cost
-        self.initial = np.where(better, self.initial, kept)
-        return np.where(better, after.cost, before.cost)
+        """Return the cost per window once every initial state has taken its own steps, as long as they help."""
+        line = self.linearise({})
+        for _ in range(SETTLING):
+            before, kept = line.cost, self.initial
+            self.begin({}, kept + self.spread(line, np.zeros(0), 0.0), kept)
+            line = self.linearise({})
+            if not (line.cost < (1.0 - ENOUGH) * before).any():
+                break
+        return line.cost
 
-    def errors(self) -> Array:
+    def errors(self, theta: Mapping[str, float]) -> Array:
         """Return simulated − measured (T + 1, C, W) from the initial states as they are."""
-        windows = replace(self.windows, initial=self.initial)
-        shown = self.problem.rollout.predict(self.problem.parameters({}), windows, self.problem.threads)
+        self._shift(theta)
+        windows = replace(self.windows, initial=self.initial + self.drift(theta)[0])
+        shown = self.problem.rollout.predict(self.problem.parameters(theta), windows, self.problem.threads)
         return shown - windows.measured
 
-    def squares(self) -> Array:
+    def squares(self, theta: Mapping[str, float]) -> Array:
         """Return the summed squared errors over the noise (W,), as the initial states are."""
         with np.errstate(all="ignore"):
-            squares: Array = ((self.errors() / self.problem.sigma[:, None]) ** 2).sum(axis=(0, 1))
+            squares: Array = ((self.errors(theta) / self.problem.sigma[:, None]) ** 2).sum(axis=(0, 1))
         return squares

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from racerl.gap.follow import follow
 from racerl.gap.presence import only_shifts
-from racerl.gap.problem import Linear, StageProblem, Unknown
+from racerl.gap.problem import Linear, StageProblem, Unknown, usual_cost
 from racerl.gap.stage import SHIFTS
 from racerl.vehicle.vehicle import STATE
 
@@ -53,7 +53,8 @@ def score(problem: StageProblem, unknowns: Sequence[Unknown], theta: Mapping[str
     asked = [*range(size), *heard]
     parts = rollout.accumulate(problem.parameters(theta), windows, problem.threads, asked, problem.silent())
     trust = np.array([problem.evidence.trust(rollout.active[i - size]) for i in heard])
-    H, g = (part.sum(axis=0) for part in Linear.of(parts, size, np.diag(trust)).reduced(0.0))
+    line = Linear.of(parts, size, np.diag(trust))
+    H, g = (part.sum(axis=0) for part in line.reduced(0.0, usual_cost(problem.evidence, line.cost)))
     picked = np.zeros((size, len(absent)))
     for k, name in enumerate(absent):
         picked[:, k] = _direction(problem, rollout.names, name, columns)

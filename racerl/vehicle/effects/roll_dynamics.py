@@ -25,7 +25,7 @@ DAMPING = 0.5
 class RollDynamics(Effect):
     """Loss of grip with lagging lateral acceleration."""
 
-    loss: Scalar = parameter("s²/m", 0.0, 0.1, "k")
+    loss: Scalar = parameter("s²/m", 0.0, 0.2, "k")
     frequency: Scalar = parameter("rad/s", 5.0, 100.0, "natural frequency Ω of the roll", 20.0)
 
     states: ClassVar[tuple[str, ...]] = ("roll", "rate")
