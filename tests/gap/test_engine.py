@@ -11,7 +11,7 @@ from racerl.gap.evidence import Evidence
 from racerl.gap.follow import follow, lagged
 from racerl.gap.name import name_effects
 from racerl.gap.presence import with_all
-from racerl.gap.problem import Problem, StageKernels, StageProblem, Unknown, _Work
+from racerl.gap.problem import Problem, StageKernels, StageProblem, Unknown, _Work, loss
 from racerl.gap.stage import CHASSIS, DRIVE, STEERING
 from racerl.vehicle.ops import TORCH
 from racerl.vehicle.parameter import replace_values, values
@@ -161,6 +161,56 @@ def test_gradients_of_a_stage_are_those_of_its_cost(clean, stage, effect, names)
         step = 2e-3 if name.endswith("latency") else 1e-5 * max(1.0, abs(table[name]))
         up, down = (parts({**table, name: table[name] + side * step})[0].squares.sum() for side in (1, -1))
         assert got == pytest.approx((up - down) / (4 * step), rel=0.15 if name.endswith("latency") else 1e-3)
+
+
+def inertia_problem(log):
+    """Return a fit of the chassis with one unknown, the yaw inertia."""
+    evidence, car = Evidence.of([log], CHASSIS, 40, 0.8), make_car("vehicle=published")
+    unknowns = [Unknown("yaw_inertia", float(car.yaw_inertia), 1.0, 0.01, 1.0)]
+    kernels = StageKernels(evidence, car, ["yaw_inertia"], {})
+    sigma = np.maximum(evidence.noise(), 1e-3)
+    return Problem([StageProblem.of(evidence, kernels, car, unknowns, sigma, 1)], unknowns)
+
+
+def test_windows_that_no_vehicle_foresees_do_not_decide(clean, monkeypatch):
+    """A heading that is late in a few turns must not move the inertia; in plain least squares it does."""
+    table = clean.table.copy()
+    heading, rate = (table[name].to_numpy().copy() for name in ("yaw", "yaw_rate"))
+    for row in np.argsort(-np.abs(np.gradient(rate)))[:2000:400]:
+        table.loc[table.index[row - 20 : row + 60], "yaw"] = heading[row - 40 : row + 40]
+    spoilt = inertia_problem(dataclasses.replace(clean, table=table))
+    truth = inertia_problem(clean).fit({"yaw_inertia": 0.1}).theta["yaw_inertia"]
+    robust = spoilt.fit({"yaw_inertia": 0.1}).theta["yaw_inertia"]
+    monkeypatch.setattr("racerl.gap.problem.usual_cost", lambda evidence, cost: 1e12)
+    plain = spoilt.fit({"yaw_inertia": 0.1}).theta["yaw_inertia"]
+    assert abs(robust - truth) < 0.3 * abs(plain - truth) and abs(plain - truth) > 0.01 * truth
+
+
+def test_the_loss_counts_usual_windows_by_their_cost_and_others_by_its_root():
+    usual, step = 100.0, 1e-3
+    slope = (loss(np.array([usual + step]), usual) - loss(np.array([usual - step]), usual)) / (2.0 * step)
+    assert slope == pytest.approx(1.0) and loss(np.zeros(1), usual) == 0.0
+    far, farther = loss(np.array([1e8, 4e8]), usual)
+    assert farther == pytest.approx(2.0 * far, rel=1e-2)
+
+
+def test_every_window_begins_where_it_fits_best(clean):
+    (stage,) = inertia_problem(clean).stages
+    work = _Work(stage, {"yaw_inertia": 0.1}, None)
+    good, bad = work.initial.copy(), work.initial.copy()
+    good[4, ::2] += 3.0  # v_y of every other window
+    bad[4, 1::2] += 3.0
+    costs = []
+    for initial in (good, bad):
+        work.initial = initial
+        costs.append(work.squares({"yaw_inertia": 0.1}))
+    work.begin({"yaw_inertia": 0.1}, good, bad)
+    np.testing.assert_allclose(work.squares({"yaw_inertia": 0.1}), np.minimum(*costs))
+    before = work.linearise({"yaw_inertia": 0.1}).cost
+    alone = _Work(dataclasses.replace(stage, names=()), {}, None)
+    alone.initial = work.initial.copy()
+    after = alone.settled()
+    assert (after <= before * (1.0 + 1e-9)).all() and after.sum() < 0.8 * before.sum()
 
 
 def test_an_absent_effect_changes_nothing_and_a_present_one_all(clean):
