@@ -31,7 +31,6 @@ NOMINAL, SCREEN, REFINE = 20, 3, 8  # most iterations of the nominal fit, of scr
 ASTRAY = 1.3  # times the noise's cost, beyond which a fit says little of the parameters
 PLACES, REACH = 2, 1.5  # of an effect that lies somewhere: places that fits start from, and their size in m
 SAMPLED = 3  # every which window screening looks at
-BEST = 2  # starts that screening carries on where the fit is astray
 STRETCH = 6  # windows that are held out together
 EVEN = 0.05  # excess over the noise's cost at which an actuator's command counts as rightly timed
 MENDED = 0.2  # share of an excess that a half sample must take away for the command's timing to be looked into
@@ -225,8 +224,8 @@ class Investigation:
     def screen(self, base: Found, name: str) -> Screened | None:
         """Add an effect to a fitted vehicle: a few steps from each of its usual sizes, on a share of the windows.
 
-        Where the fit is astray, all parameters but the effects' start as configured, too, and the best go on. Return
-        the best; None where no stage shows the effect.
+        Where the fit is astray, all parameters but the effects' start as configured, too. Return the best; None where
+        no stage shows the effect.
         """
         likely = [with_effect(base.vehicle, name, effect) for effect in self._likely(base, name)]
         if name == COG:
@@ -234,19 +233,14 @@ class Investigation:
         stages = self.touched(likely[0], frozenset([name])) if likely else []
         if not stages:
             return None
-        astray = self.beyond(base, stages) > ASTRAY
-        if astray:
+        if self.beyond(base, stages) > ASTRAY:
             likely += [replace(self.vehicle, effects=vehicle.effects) for vehicle in likely]
-        tried = [self._try(base, name, vehicle, stages, SCREEN) for vehicle in likely]
-        if astray:
-            tried.sort(key=lambda each: -each.gain)
-            tried += [self._try(base, name, each.vehicle, stages, REFINE) for each in tried[:BEST]]
-        return max(tried, key=lambda each: each.gain)
+        return max((self._try(base, name, vehicle, stages) for vehicle in likely), key=lambda each: each.gain)
 
-    def _try(self, base: Found, name: str, vehicle: Vehicle, stages: Sequence[str], iterations: int) -> Screened:
-        """Return where some iterations on a share of the windows lead a vehicle with an effect more."""
+    def _try(self, base: Found, name: str, vehicle: Vehicle, stages: Sequence[str]) -> Screened:
+        """Return where a few iterations on a share of the windows lead a vehicle with an effect more."""
         some = {stage: np.arange(len(self.evidence[stage].start))[::SAMPLED] for stage in stages}
-        found = self._fit(base.effects | {name}, vehicle, self._start(base, stages), iterations, stages, some)
+        found = self._fit(base.effects | {name}, vehicle, self._start(base, stages), SCREEN, stages, some)
         gains = {s: self._fall(s, self.cost(base, s)[some[s]], found.cost[s]) for s in stages}
         return Screened(name, found.vehicle, sum(gains.values()), max(gains, key=lambda s: gains[s]))
 

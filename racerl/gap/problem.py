@@ -300,7 +300,10 @@ class Problem:
                 trial, moves = self._step(work, at[1], usual, vector, damping)
                 before = [stage.initial for stage in work]
                 for stage, move in zip(work, moves, strict=True):
-                    stage.begin(self._named(trial), stage.initial + move, stage.initial)
+                    if stage.remembers:
+                        stage.begin(self._named(trial), stage.initial + move, stage.initial)
+                    else:
+                        stage.initial = stage.initial + move
                 lines = self._lines(work, trial)
                 there = self._total_loss(trial, lines, usual), lines
                 if there[0] <= at[0]:
@@ -488,6 +491,7 @@ class _Work:
         self.rows = [states.index(name) for name in active]
         used = [i for i in self.columns if i < len(problem.rollout.names)]
         self.mixing = problem.mixing[used]
+        self.remembers = any(name not in STATE for name in active)  # which side of a play, say: steps may lead astray
         self._shifts = problem.shifts(theta)
         self.rest = self.initial[self.rows]
         self._began = dict(theta)
