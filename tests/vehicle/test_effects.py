@@ -162,7 +162,7 @@ def turn_rate(car: Vehicle, delta: float = 0.1, speed: float = 1.5) -> float:
         ("steering_gain_asymmetry", {"asymmetry": 0.1}, 1),
         ("steering_nonlinearity", {"cubic": 5.0}, 1),
         ("steering_saturation", {"limit": 0.05}, -1),
-        ("steering_backlash", {"play": 0.02}, -1),
+        ("steering_backlash", {"play": 0.04}, -1),
         ("steering_compliance", {"compliance": 0.004}, -1),
         ("locked_differential", {"track_width": 0.2}, -1),
         ("yaw_damping", {"coefficient": 0.2}, -1),
@@ -218,7 +218,7 @@ def test_the_pitch_follows_the_acceleration_of_the_car():
 
 def test_play_has_two_sides():
     """Coming from the left or from the right, the wheels rest on different sides of the gap."""
-    car = with_effect("steering_backlash", play=0.02)
+    car = with_effect("steering_backlash", play=0.04)
     effect, index = car.effects["steering_backlash"], car.states.index("steering_backlash.wheel")
     came_from_left, came_from_right = (
         advance(

@@ -1,8 +1,8 @@
 """Play in the linkage: the road wheels rest until the servo has crossed the gap.
 
-Formula: δ_w stays within δ ± b and moves only when pushed; a fast lag of 6 ms makes the push smooth.
+Formula: δ_w stays within δ ± b/2 and moves only when pushed; a fast lag of 6 ms makes the push smooth.
 Source: the play operator of mechanics.
-In data: after each reversal of the steering, the yaw rate waits for a change of 2 b of the measured angle.
+In data: after each reversal of the steering, the yaw rate waits for a change of b of the measured angle.
 Excited by: slow steering to and fro about several angles, slalom.
 Confused with: steering_deadband (shows in the measured angle, play does not), tyre_relaxation.
 """
@@ -25,12 +25,12 @@ PUSH = 150.0  # 1/s, rate at which the remembered angle follows the pushed one
 class SteeringBacklash(Effect):
     """Play between measured angle and road wheels."""
 
-    play: Scalar = parameter("rad", 0.0, 0.1, "b, half the gap")
+    play: Scalar = parameter("rad", 0.0, 0.2, "b, the whole gap")
 
     states: ClassVar[tuple[str, ...]] = ("wheel",)
 
     def steer(self, delta: Scalar, own: Mapping[str, Scalar], ops: Ops) -> Scalar:
-        """Return the road-wheel angle, no further than b from δ."""
+        """Return the road-wheel angle, no further than b/2 from δ."""
         return self._pushed(own[self.key("wheel")], delta, ops)
 
     def rates(self, course: "Course", ops: Ops) -> Sequence[Scalar]:
@@ -39,4 +39,4 @@ class SteeringBacklash(Effect):
         return (PUSH * (course.motion.delta - wheel),)
 
     def _pushed(self, wheel: Scalar, delta: Scalar, ops: Ops) -> Scalar:
-        return ops.minimum(ops.maximum(wheel, delta - self.play), delta + self.play)
+        return ops.minimum(ops.maximum(wheel, delta - 0.5 * self.play), delta + 0.5 * self.play)
