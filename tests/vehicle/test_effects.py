@@ -187,9 +187,8 @@ def test_grip_is_lost_where_when_and_how_it_should():
 
     assert grip("friction_fade", {"rate": 1e-3}, friction_fade__clock=100.0) == pytest.approx(0.9)
     assert grip("speed_dependent_friction", {"loss": 0.05}, v_x=4.0) == pytest.approx(0.8)
-    assert grip("friction_patch", {"depth": 0.4, "x": 1.0, "radius": 2.0}, x=3.0) == pytest.approx(
-        1 - 0.4 * 0.6065, 1e-3
-    )
+    patch = {"depth": 0.4, "x": 1.0, "radius": 2.0, "edge": 0.2}
+    assert [grip("friction_patch", patch, x=x) for x in (1.0, 3.0, 6.0)] == pytest.approx([0.6, 0.8, 1.0], abs=1e-3)
     assert grip("tyre_heating", {"loss": 0.1}, tyre_heating__heat=2.0) == pytest.approx(0.8)
     turning = {"v_x": 2.5, "yaw_rate": -2.0}
     assert grip("lateral_load_sensitivity", {"loss": 0.02}, **turning) == pytest.approx(0.9, abs=5e-3)
