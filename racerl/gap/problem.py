@@ -219,10 +219,10 @@ class Linear:
             t=self.t + np.einsum("wna,wa->wn", back, self.x),
         )
 
-    def reduced(self, damping: float, usual: float = np.inf) -> tuple[Array, Array]:
+    def reduced(self, damping: float, usual: float) -> tuple[Array, Array]:
         """Return H (W, N, N) and g (W, N) over θ with each window's initial state eliminated, weighted by ρ'(c)."""
         gain = self.tx @ self.inverse(damping)
-        weight = np.sqrt(2.0 / (1.0 + self.cost / usual)) if np.isfinite(usual) else np.ones_like(self.cost)
+        weight = np.sqrt(2.0 / (1.0 + self.cost / usual))
         H = self.tt - gain @ self.tx.transpose(0, 2, 1)
         g = self.t - np.einsum("wnx,wx->wn", gain, self.x)
         return weight[:, None, None] * H, weight[:, None] * g
