@@ -108,16 +108,17 @@ def _rounds(decision: Decision) -> list[list[Scored]]:
 
 
 def equals(row: list[Scored]) -> list[str]:
-    """Return the candidates of a round that explain the data as well as its best, for their number of parameters."""
+    """Return the candidates of a round that explain the data as well as its best.
+
+    More parameters have to explain more, or to foresee held-out windows better.
+    """
     best = row[0]
-    return [
-        other.name
-        for other in row[1:]
-        if other.clear
-        and other.behind < ALIKE
-        and other.explained - PARAMETER * other.size
-        > best.explained - PARAMETER * best.size - EQUAL * (other.size <= best.size)
-    ]
+
+    def equal(other: Scored) -> bool:
+        slack = EQUAL if other.size <= best.size or other.behind < 0.0 else 0.0
+        return other.explained - PARAMETER * other.size > best.explained - PARAMETER * best.size - slack
+
+    return [other.name for other in row[1:] if other.clear and other.behind < ALIKE and equal(other)]
 
 
 def hidden(score: Score) -> tuple[str, ...]:

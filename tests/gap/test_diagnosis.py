@@ -263,8 +263,9 @@ def test_rivals_explain_as_much_for_their_parameters():
         row("faint", 1.0, 0.94, 1, clear=False),
         row("less", 1.0, 0.80, 1),
         row("larger", 1.0, 0.955, 3),
+        row("larger and better", -0.5, 0.94, 3),
     ]
-    assert equals([best, *others]) == ["equal"]
+    assert equals([best, *others]) == ["equal", "larger and better"]
 
 
 def test_the_share_explained_stays_inside_its_bounds():
