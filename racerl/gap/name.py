@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from racerl.gap.catalogue import neutral, placed
 from racerl.gap.investigation import Found, Investigation, Screened
-from racerl.gap.problem import loss
 from racerl.gap.score import Score, summed
 
 Array = NDArray[np.float64]
@@ -282,5 +281,9 @@ class Judge:
         return np.concatenate(parts)
 
     def loss(self, stage: str, cost: Array) -> Array:
-        """Return what windows count for: one that no fit foresaw does not decide alone."""
-        return loss(cost, wild(self.investigation, stage) / WILD)
+        """Return n log(1 + cost/n), n the cost of a usual window: one that no fit foresaw does not decide alone.
+
+        A fit must not give windows up, and counts them by the root of their cost; a judgement of it may.
+        """
+        n = wild(self.investigation, stage) / WILD
+        return n * np.log1p(cost / n)
