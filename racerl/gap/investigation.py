@@ -30,7 +30,8 @@ SHARE = 0.1  # of a channel's misfit that counts as noise in its weight
 NOMINAL, SCREEN, REFINE = 20, 3, 8  # most iterations of the nominal fit, of screening, of a candidate
 ASTRAY = 1.3  # times the noise's cost, beyond which a fit says little of the parameters
 PLACES, REACH = 2, 1.5  # of an effect that lies somewhere: places that fits start from, and their size in m
-SAMPLED = 3  # every which window screening looks at
+SAMPLED = 3  # every which window screening, and the choice of a start of the nominal fit, look at
+STARTS = 2  # of the nominal fit, beside the configured vehicle
 STRETCH = 6  # windows that are held out together
 EVEN = 0.05  # excess over the noise's cost at which an actuator's command counts as rightly timed
 MENDED = 0.2  # share of an excess that a half sample must take away for the command's timing to be looked into
@@ -95,7 +96,7 @@ class Investigation:
         self.sigma = dict(self.noise)
         for name in {"steering", "drive"} & set(self.evidence):
             self.evidence[name] = self._timed(name)
-        self.base = self._nominal()
+        self.base = self._nominal(self._drawn(nominal, np.random.default_rng(seed)))
         self.noise_errors = self.expected(self.base, seed)
         self.floor = {
             name: float(((errors / self.sigma[name][:, None]) ** 2).sum()) for name, errors in self.noise_errors.items()
@@ -136,15 +137,34 @@ class Investigation:
         best = minimize_scalar(cost, bounds=(0.0, given.dt), method="bounded", options={"xatol": 0.02 * given.dt})
         return replace(given, early=float(best.x)) if best.fun <= enough else given
 
-    def _nominal(self) -> Found:
+    def _drawn(self, nominal: Unknowns, generator: np.random.Generator) -> list[Vehicle]:
+        """Return vehicles that are as likely as the configured one."""
+        moved = nominal.sigma * generator.uniform(-1.0, 1.0, (STARTS, len(nominal.names)))
+        starts = [dict(zip(nominal.names, nominal.clip(nominal.start + row).tolist(), strict=True)) for row in moved]
+        return [replace_values(self.vehicle, start) for start in starts]
+
+    def _nominal(self, starts: Sequence[Vehicle]) -> Found:
         """Fit the vehicle without effects; weigh channels by their noise and a share of what is left over."""
-        found = self._fit(frozenset(), self.vehicle, None, NOMINAL)
+        likely = min((self._refit(vehicle, self._sampled(self.evidence)) for vehicle in starts), key=self._loss)
+        found = min((self._refit(vehicle) for vehicle in (self.vehicle, likely.vehicle)), key=self._loss)
         for name, evidence in self.evidence.items():
             stage = next(s for s in found.problem.stages if s.evidence is evidence)
             left = (stage.errors(found.theta, found.initial[name]) ** 2).mean(axis=(0, 2))
             self.noise[name] = np.minimum(self.noise[name], np.sqrt(left))  # local polynomials miss fast motion
             self.sigma[name] = np.sqrt(self.noise[name] ** 2 + SHARE**2 * left)
         return self._fit(frozenset(), found.vehicle, found, NOMINAL)
+
+    def _refit(self, vehicle: Vehicle, index: Mapping[str, NDArray[np.int64]] | None = None) -> Found:
+        return self._fit(frozenset(), vehicle, None, NOMINAL, index=index)
+
+    def _loss(self, found: Found) -> float:
+        """Return the loss of a fit's windows, against the noise's cost; infinite where one of them blew up."""
+        parts = (float(loss(part, self.evidence[name].numbers).sum()) for name, part in found.cost.items())
+        return float(np.nan_to_num(sum(parts), nan=np.inf))
+
+    def _sampled(self, stages: Iterable[str]) -> dict[str, NDArray[np.int64]]:
+        """Return a share of each stage's windows."""
+        return {name: np.arange(len(self.evidence[name].start))[::SAMPLED] for name in stages}
 
     def _fit(
         self,
@@ -239,7 +259,7 @@ class Investigation:
 
     def _try(self, base: Found, name: str, vehicle: Vehicle, stages: Sequence[str]) -> Screened:
         """Return where a few iterations on a share of the windows lead a vehicle with an effect more."""
-        some = {stage: np.arange(len(self.evidence[stage].start))[::SAMPLED] for stage in stages}
+        some = self._sampled(stages)
         found = self._fit(base.effects | {name}, vehicle, self._start(base, stages), SCREEN, stages, some)
         gains = {s: self._fall(s, self.cost(base, s)[some[s]], found.cost[s]) for s in stages}
         return Screened(name, found.vehicle, sum(gains.values()), max(gains, key=lambda s: gains[s]))

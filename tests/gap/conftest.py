@@ -1,5 +1,7 @@
 """A short drive of a car with known effects, as a log."""
 
+from typing import Any
+
 import pytest
 
 from racerl.assemble import conf_folder
@@ -12,6 +14,7 @@ from racerl.gap.stage import CHASSIS, DRIVE, STEERING
 from racerl.identify.unknowns import choose_unknowns
 from racerl.record.record import Plan, table
 from racerl.vehicle.load import load_vehicle
+from racerl.vehicle.vehicle import Vehicle
 
 
 def drive(*overrides: str, seconds: float = 90.0) -> Log:
@@ -20,11 +23,17 @@ def drive(*overrides: str, seconds: float = 90.0) -> Log:
     return Log.from_table("drive", table(Plan.of(settings).drive(), **settings["smoothing"]))
 
 
-def investigate(log: Log, *names: str) -> Investigation:
-    """Return an investigation of a log that knows these effects."""
+def configured() -> tuple[Vehicle, dict[str, Any]]:
+    """Return the car that made the logs, and the priors of a refit."""
     settings = compose_settings("identify", ["vehicle=published", "logs=[drive]"])
-    vehicle = load_vehicle(settings["vehicle"])
-    unknowns = choose_unknowns(vehicle, settings["priors"], [], vehicle)
+    return load_vehicle(settings["vehicle"]), settings["priors"]
+
+
+def investigate(log: Log, *names: str, vehicle: Vehicle | None = None) -> Investigation:
+    """Return an investigation of a log that knows these effects and starts from `vehicle`, else from the right one."""
+    right, priors = configured()
+    vehicle = vehicle or right
+    unknowns = choose_unknowns(vehicle, priors, [], vehicle)
     catalogue = {name: starts(name, conf_folder() / "vehicle" / "effect") for name in names}
     cut = [Evidence.of([log], stage, 85, 0.5) for stage in (STEERING, DRIVE, CHASSIS)]
     return Investigation({each.stage.name: each for each in cut}, vehicle, unknowns, catalogue, threads=2)

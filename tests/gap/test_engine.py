@@ -13,10 +13,11 @@ from racerl.gap.name import name_effects
 from racerl.gap.presence import with_all
 from racerl.gap.problem import Problem, StageKernels, StageProblem, Unknown, _Work, loss
 from racerl.gap.stage import CHASSIS, DRIVE, STEERING
+from racerl.identify.unknowns import choose_unknowns
 from racerl.vehicle.ops import TORCH
 from racerl.vehicle.parameter import replace_values, values
 from racerl.vehicle.rollout import Windows
-from tests.gap.conftest import investigate
+from tests.gap.conftest import configured, investigate
 from tests.vehicle.conftest import make_car, random_states
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler on this machine")
@@ -222,6 +223,16 @@ def test_an_absent_effect_changes_nothing_and_a_present_one_all(clean):
     for car in (plain, dragged):
         got = with_all(car, catalogue).derivative(full, command, TORCH)[:8]
         assert torch.allclose(got, car.derivative(state, command, TORCH), rtol=1e-12, atol=1e-12)
+
+
+@needs_compiler
+def test_the_refit_reaches_the_noise_from_a_vehicle_that_is_off(clean):
+    right, priors = configured()
+    unknowns = choose_unknowns(right, priors, [], right)
+    off = 1.5 * unknowns.sigma * np.random.default_rng(3).uniform(-1.0, 1.0, len(unknowns.names))
+    theta = unknowns.clip(unknowns.start + off)
+    found = investigate(clean, vehicle=replace_values(right, dict(zip(unknowns.names, theta.tolist(), strict=True))))
+    assert found.beyond(found.base, ["chassis"]) < 1.01  # from there alone it would end 6 % above the noise
 
 
 @needs_compiler
