@@ -276,7 +276,7 @@ class Investigation:
         """
         starts, evidence = list(self.catalogue[name]), self.evidence.get("chassis")
         if name == COG and base.vehicle.l_f != self.vehicle.l_f:
-            return [replace(starts[0], **{"offset": base.vehicle.l_f - self.vehicle.l_f})]
+            return [replace(starts[0], **{"offset": self.vehicle.l_f - base.vehicle.l_f})]
         if not placed(name) or evidence is None or not {"x", "y"} <= set(evidence.columns):
             return starts
         found = base if "chassis" in base.initial else self.base
@@ -382,10 +382,15 @@ class Investigation:
         return dict(zip(names, errors, strict=True))
 
     def deviations(self, found: Found) -> dict[str, float]:
-        """Return the standard deviation of every parameter of a fit."""
+        """Return the standard deviation of every parameter of a fit.
+
+        How far the centre of gravity is from where it was weighed is known no better than it was weighed.
+        """
         covariance = found.problem.covariance(found.fit, [self.blocks(name) for name in found.cost])
         deviations = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        return dict(zip(found.problem.names, deviations.tolist(), strict=True))
+        known = dict(zip(found.problem.names, deviations.tolist(), strict=True))
+        offset, weighed = f"effects.{COG}.offset", {u.name: u.sigma for u in self.unknowns}.get("l_f", 0.0)
+        return {**known, offset: float(np.hypot(known[offset], weighed))} if offset in known else known
 
     def moved(self) -> list[dict[str, Any]]:
         """Return the vehicle's parameters that the refit took far from where they were configured, or to a bound."""

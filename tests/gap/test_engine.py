@@ -9,6 +9,7 @@ import torch
 
 from racerl.gap.evidence import Evidence
 from racerl.gap.follow import follow, lagged
+from racerl.gap.investigation import COG
 from racerl.gap.name import name_effects
 from racerl.gap.presence import with_all
 from racerl.gap.problem import Problem, StageKernels, StageProblem, Unknown, _Work, loss
@@ -233,6 +234,15 @@ def test_the_refit_reaches_the_noise_from_a_vehicle_that_is_off(clean):
     theta = unknowns.clip(unknowns.start + off)
     found = investigate(clean, vehicle=replace_values(right, dict(zip(unknowns.names, theta.tolist(), strict=True))))
     assert found.beyond(found.base, ["chassis"]) < 1.01  # from there alone it would end 6 % above the noise
+
+
+@needs_compiler
+def test_a_displaced_centre_of_gravity_is_known_no_better_than_it_was_weighed(clean):
+    investigation = investigate(clean, COG)
+    found = investigation.add(investigation.base, investigation.screen(investigation.base, COG))
+    weighed = next(unknown.sigma for unknown in investigation.unknowns if unknown.name == "l_f")
+    assert weighed < investigation.deviations(found)[f"effects.{COG}.offset"] < 1.5 * weighed
+    assert investigation.deviations(investigation.base)["l_f"] < 0.5 * weighed
 
 
 @needs_compiler

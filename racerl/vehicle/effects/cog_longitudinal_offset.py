@@ -1,6 +1,6 @@
-"""The centre of gravity lies further back than weighed.
+"""The centre of gravity lies further ahead than weighed.
 
-Formula: l_f ← l_f + e, l_r ← l_r − e.
+Formula: l_f ← l_f − e, l_r ← l_r + e.
 Source: weighing with other equipment on board.
 In data: the balance between the axles differs, in loads and in lever arms.
 Excited by: circles both ways up to the limit.
@@ -18,8 +18,8 @@ from racerl.vehicle.parameter import parameter
 class CogLongitudinalOffset(Effect):
     """Shift of the centre of gravity."""
 
-    offset: Scalar = parameter("m", -0.1, 0.1, "e, positive to the back")
+    offset: Scalar = parameter("m", -0.1, 0.1, "e, positive ahead")
 
     def arm(self, l_f: Scalar) -> Scalar:
-        """Return l_f + e."""
-        return l_f + self.offset
+        """Return l_f − e."""
+        return l_f - self.offset
