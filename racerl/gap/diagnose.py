@@ -35,7 +35,7 @@ LOCATE, NAME, PROOF, VERDICT, MODEL = "locate.json", "name.json", "prove.json", 
 MODEL_BEFORE = "model_before.yaml"  # refitted, without the effects found
 RESIDUAL, RESIDUAL_MODEL = "residual.json", "model_residual.yaml"
 FEWEST = 20  # windows of a stage, below which it is left out
-KNOWN = 0.05  # half width of an interval, as a share of the value, within which a parameter counts as identified
+KNOWN = 0.1  # half width of an interval, as a share of the value, within which a parameter counts as identified
 PROGRAMME = (
     "ten runs or more with step steers of three sizes, slow ramps to full lock, circles of two radii at two speeds "
     "both ways round, speed steps up and down, and coast-downs, at up to the tyres' limit"

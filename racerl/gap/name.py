@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from racerl.gap.catalogue import neutral, placed
 from racerl.gap.investigation import Found, Investigation, Screened
 from racerl.gap.score import Score, summed
+from racerl.vehicle.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 SHORTLIST, CONTINUED = 8, 4  # candidates of each stage that are screened, and fitted to the end
@@ -29,7 +30,7 @@ CLEAR = 3.0  # standard errors by which a gain must differ from zero
 SAME = 2.0  # standard errors within which candidates explain alike
 PARAMETER = 0.01  # share of the excess that one more parameter must explain
 WILD, TYPICAL = 30.0, 10.0  # mean squared deviation of a wild window, and its cost in median ones
-FORM = 0.01  # deviation of an effect's parameters, as a share: forms differ by about that (development logs)
+FORM, EXACT = 0.05, 0.01  # deviation, as a share, of the parameters of effects of many forms (by development logs), one
 WORTH = 0.04  # share of the first excess, and of what is left of it before the round, that an effect must explain
 
 
@@ -194,16 +195,25 @@ def _idle(name: str, ranges: Mapping[str, tuple[float, float, float]]) -> bool:
 def intervals(investigation: Investigation, found: Found) -> dict[str, tuple[float, float, float]]:
     """Return each fitted parameter's value and 95 % interval, inside the physical bounds.
 
-    An effect's parameters are known no better than to FORM of their values: the car's effect has another form.
+    An effect's parameters are known no better than its form is: the car's effect may have another.
     """
     bounds = {unknown.name: (unknown.low, unknown.high) for unknown in found.problem.unknowns}
     ranges = {}
     for name, deviation in investigation.deviations(found).items():
         value, (low, high) = found.theta[name], bounds[name]
-        form = FORM * abs(value) if name.startswith("effects.") else 0.0
-        half = 1.96 * math.hypot(deviation, form)
+        half = 1.96 * math.hypot(deviation, _form(found.vehicle, name, value))
         ranges[name] = value, max(value - half, low), min(value + half, high)
     return ranges
+
+
+def _form(vehicle: Vehicle, parameter: str, value: float) -> float:
+    """Return the deviation between the parameters of an effect's likely forms, by its distance from no effect."""
+    name, _, key = parameter.removeprefix("effects.").rpartition(".")
+    effect = vehicle.effects.get(name)
+    if effect is None or not effect.physical:
+        return 0.0
+    first, zero = neutral(name)
+    return (EXACT if effect.exact else FORM) * abs(value - zero if key == first else value)
 
 
 def excess(investigation: Investigation, cost: Mapping[str, Array]) -> float:

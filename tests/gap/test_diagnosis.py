@@ -15,8 +15,9 @@ from racerl.gap.evidence import Evidence, contradictory
 from racerl.gap.growth import growth, places
 from racerl.gap.investigation import Screened
 from racerl.gap.locate import _test
-from racerl.gap.name import _hopeful
+from racerl.gap.name import EXACT, FORM, _hopeful, intervals
 from racerl.gap.plan import plan, telling
+from racerl.gap.problem import Unknown
 from racerl.gap.prove import explained
 from racerl.gap.score import Score
 from racerl.gap.stage import stages
@@ -25,6 +26,7 @@ from racerl.report.gap_page import draw_gap
 from racerl.vehicle import catalogue
 from racerl.vehicle.load import load_vehicle
 from tests.gap.conftest import drive
+from tests.vehicle.conftest import make_car
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler on this machine")
 KNOWN = ("yaw_damping", "aero_drag", "command_timestamp_offset", "pose_latency", "lateral_load_sensitivity")
@@ -57,7 +59,7 @@ def test_the_hidden_effect_is_named_with_its_interval_and_the_gap_closes(diagnos
     coefficient = effect["parameters"]["coefficient"]
     low, high = coefficient["ci95"]
     assert effect["name"] == "yaw_damping" and coefficient["unit"] == "N m s"
-    assert coefficient["value"] == pytest.approx(0.15, rel=0.05) and 0.0 < low < high < low + 0.03
+    assert coefficient["value"] == pytest.approx(0.15, rel=0.05) and 0.0 < low < 0.15 < high < low + 0.04
     assert facts["ranking"][0]["name"] == "yaw_damping" and facts["ranking"][0]["p"] < 0.01
     assert facts["gap"]["unfitted"] > facts["gap"]["before"] > 1.1 > facts["gap"]["after"] > 0.9
     low, high = facts["gap"]["ci95"]
@@ -291,6 +293,19 @@ def test_what_shows_and_looks_like_no_other_is_separable():
     H[2, 3] = H[3, 2] = 0.97 * 20.0  # what does not show stands in nobody's way
     H[3, 4] = H[4, 3] = 0.9 * 400.0
     assert separable(Score(names, H, np.zeros(5))) == ("steering_delay", "downforce")
+
+
+def test_an_effect_of_many_forms_is_known_less_well_than_one_of_a_single_form():
+    vehicle = make_car("+vehicle/effect=[steering_gain,steering_backlash]", "vehicle.effects.steering_gain.gain=1.1")
+    unknowns = [
+        Unknown(f"effects.{name}", 0.0, 1.0, 0.0, 2.0) for name in ("steering_gain.gain", "steering_backlash.play")
+    ]
+    theta = {unknowns[0].name: 1.1, unknowns[1].name: 0.04}
+    found = SimpleNamespace(vehicle=vehicle, theta=theta, problem=SimpleNamespace(unknowns=unknowns))
+    known = SimpleNamespace(deviations=lambda found: dict.fromkeys(theta, 0.0))
+    halves = {name: 0.5 * (high - low) for name, (_, low, high) in intervals(known, found).items()}
+    assert halves[unknowns[0].name] == pytest.approx(1.96 * EXACT * 0.1)  # of what it changes, not of the gain
+    assert halves[unknowns[1].name] == pytest.approx(1.96 * FORM * 0.04)
 
 
 def test_the_next_manoeuvre_is_what_would_decide():

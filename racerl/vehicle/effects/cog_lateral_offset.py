@@ -25,6 +25,7 @@ class CogLateralOffset(Effect):
     offset: Scalar = parameter("m", -0.1, 0.1, "e")
 
     symmetric: ClassVar[bool] = False
+    exact: ClassVar[bool] = True
 
     def slip(self, slips: "Slips", motion: "Motion", ops: Ops) -> "Slips":
         """Let the axles' middles move at v_x − e r."""

@@ -8,6 +8,7 @@ Confused with: tyres of other stiffness on one axle, lever_arm (rotation about a
 """
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from racerl.vehicle.effects import Effect
 from racerl.vehicle.ops import Scalar
@@ -19,6 +20,8 @@ class CogLongitudinalOffset(Effect):
     """Shift of the centre of gravity."""
 
     offset: Scalar = parameter("m", -0.1, 0.1, "e, positive ahead")
+
+    exact: ClassVar[bool] = True
 
     def arm(self, l_f: Scalar) -> Scalar:
         """Return l_f − e."""

@@ -9,6 +9,7 @@ Confused with: pose_latency (on-board channels seem early by the same time), two
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 from racerl.vehicle.effects import Effect
 from racerl.vehicle.ops import Scalar
@@ -20,6 +21,8 @@ class CommandTimestampOffset(Effect):
     """One shift of all on-board channels."""
 
     latency: Scalar = parameter("s", -0.2, 0.2, "T, positive if on-board channels are late")
+
+    exact: ClassVar[bool] = True
 
     def latencies(self) -> Mapping[str, Scalar]:
         """Return T for what is late."""

@@ -9,6 +9,7 @@ Confused with: wheel_speed_latency (the car's own acceleration against wheel spe
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 from racerl.vehicle.effects import Effect
 from racerl.vehicle.ops import Scalar
@@ -20,6 +21,8 @@ class DriveDelay(Effect):
     """Dead time between drive command and motor."""
 
     delay: Scalar = parameter("s", 0.0, 0.2, "T")
+
+    exact: ClassVar[bool] = True
 
     def delays(self) -> Mapping[str, Scalar]:
         """Return T for the drive's reference."""

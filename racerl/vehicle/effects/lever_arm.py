@@ -24,6 +24,7 @@ class LeverArm(Effect):
     left: Scalar = parameter("m", -0.5, 0.5, "b, positive to the left of it", 0.0)
 
     symmetric: ClassVar[bool] = False
+    exact: ClassVar[bool] = True
 
     def measure(self, channels: Mapping[str, Scalar], ops: Any) -> Mapping[str, Scalar]:
         """Return pose and velocities of the tracked point."""

@@ -23,6 +23,7 @@ class MocapYawMisalignment(Effect):
     angle: Scalar = parameter("rad", -0.2, 0.2, "ε, positive if the markers point to the left")
 
     symmetric: ClassVar[bool] = False
+    exact: ClassVar[bool] = True
 
     def measure(self, channels: Mapping[str, Scalar], ops: Any) -> Mapping[str, Scalar]:
         """Return heading and velocities as the markers show them."""

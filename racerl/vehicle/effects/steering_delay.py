@@ -10,6 +10,7 @@ Confused with: steering_second_order (step sizes and chirps tell), steering_sens
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 from racerl.vehicle.effects import Effect
 from racerl.vehicle.ops import Scalar
@@ -21,6 +22,8 @@ class SteeringDelay(Effect):
     """Dead time between steering command and servo."""
 
     delay: Scalar = parameter("s", 0.0, 0.2, "T")
+
+    exact: ClassVar[bool] = True
 
     def delays(self) -> Mapping[str, Scalar]:
         """Return T for the steering reference."""

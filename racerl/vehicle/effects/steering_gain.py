@@ -9,6 +9,7 @@ Confused with: steering_nonlinearity (large angles), wheel_speed_gain (all speed
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 from racerl.vehicle.effects import Effect
 from racerl.vehicle.ops import Ops, Scalar
@@ -20,6 +21,8 @@ class SteeringGain(Effect):
     """Gain between steering angle and road wheels."""
 
     gain: Scalar = parameter("", 0.5, 1.5, "k")
+
+    exact: ClassVar[bool] = True
 
     def steer(self, delta: Scalar, own: Mapping[str, Scalar], ops: Ops) -> Scalar:
         """Return k δ."""

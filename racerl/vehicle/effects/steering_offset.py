@@ -24,6 +24,7 @@ class SteeringOffset(Effect):
     offset: Scalar = parameter("rad", -0.2, 0.2, "δ_0, positive to the left")
 
     symmetric: ClassVar[bool] = False
+    exact: ClassVar[bool] = True
 
     def steer(self, delta: Scalar, own: Mapping[str, Scalar], ops: Ops) -> Scalar:
         """Return δ + δ_0."""

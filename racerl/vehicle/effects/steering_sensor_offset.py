@@ -23,6 +23,7 @@ class SteeringSensorOffset(Effect):
     offset: Scalar = parameter("rad", -0.2, 0.2, "b, positive to the left")
 
     symmetric: ClassVar[bool] = False
+    exact: ClassVar[bool] = True
 
     def measure(self, channels: Mapping[str, Scalar], ops: Any) -> Mapping[str, Scalar]:
         """Return δ + b."""

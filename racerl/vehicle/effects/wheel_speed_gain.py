@@ -9,7 +9,7 @@ Confused with: wheel_growth (grows with speed), viscous_drag (needs force).
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from racerl.vehicle.effects import Effect
 from racerl.vehicle.ops import Scalar
@@ -21,6 +21,8 @@ class WheelSpeedGain(Effect):
     """Gain of the measured wheel speed."""
 
     gain: Scalar = parameter("", 0.5, 1.5, "k")
+
+    exact: ClassVar[bool] = True
 
     def measure(self, channels: Mapping[str, Scalar], ops: Any) -> Mapping[str, Scalar]:
         """Return k ω."""

@@ -9,6 +9,7 @@ Confused with: drive_delay (the car speeds up when the wheels do).
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 from racerl.vehicle.effects import Effect
 from racerl.vehicle.ops import Scalar
@@ -20,6 +21,8 @@ class WheelSpeedLatency(Effect):
     """Latency of the wheel speed."""
 
     latency: Scalar = parameter("s", 0.0, 0.2, "T")
+
+    exact: ClassVar[bool] = True
 
     def latencies(self) -> Mapping[str, Scalar]:
         """Return T for what is late."""
