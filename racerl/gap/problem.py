@@ -181,9 +181,10 @@ def _shift_of(evidence: Evidence, vehicle: Vehicle, name: str) -> tuple[float, f
 
 @dataclass(frozen=True)
 class Linear:
-    """A stage at a point: cost per window (W,), and the normal equations of each window's (θ, x_0)."""
+    """A stage at a point: cost per window (W,), n of ρ, and the normal equations of each window's (θ, x_0)."""
 
     cost: Array
+    usual: float
     tt: Array  # (W, N, N)
     tx: Array  # (W, N, A)
     xx: Array  # (W, A, A)
@@ -191,12 +192,16 @@ class Linear:
     x: Array  # (W, A)
 
     @classmethod
-    def of(cls, parts: NormalEquations, size: int, precision: Array) -> "Linear":
-        """Split normal equations after their first `size` unknowns; `precision` (A, A) of the initial states."""
+    def of(cls, parts: NormalEquations, size: int) -> "Linear":
+        """Split normal equations after their first `size` unknowns."""
         H, g = parts.H, parts.g
-        cost = parts.squares.sum(axis=1)
         tt, tx, xx = H[:, :size, :size], H[:, :size, size:], H[:, size:, size:]
-        return cls(cost, tt, tx, xx + precision, g[:, :size], g[:, size:])
+        return cls(parts.squares.sum(axis=1), np.inf, tt, tx, xx, g[:, :size], g[:, size:])
+
+    @property
+    def loss(self) -> float:
+        """Summed loss of the windows."""
+        return float(loss(self.cost, self.usual).sum())
 
     def inverse(self, damping: float) -> Array:
         """Return the damped inverse of xx, (W, A, A)."""
@@ -219,10 +224,10 @@ class Linear:
             t=self.t + np.einsum("wna,wa->wn", back, self.x),
         )
 
-    def reduced(self, damping: float, usual: float) -> tuple[Array, Array]:
+    def reduced(self, damping: float) -> tuple[Array, Array]:
         """Return H (W, N, N) and g (W, N) over θ with each window's initial state eliminated, weighted by ρ'(c)."""
         gain = self.tx @ self.inverse(damping)
-        weight = np.sqrt(2.0 / (1.0 + self.cost / usual))
+        weight = np.sqrt(2.0 / (1.0 + self.cost / self.usual))
         H = self.tt - gain @ self.tx.transpose(0, 2, 1)
         g = self.t - np.einsum("wnx,wx->wn", gain, self.x)
         return weight[:, None, None] * H, weight[:, None] * g
@@ -251,12 +256,11 @@ class Fit:
     theta: dict[str, float]
     initial: list[Array]
     lines: list[Linear]
-    usual: list[float]  # cost of a usual window
     converged: bool
 
     def reduced(self) -> list[tuple[Array, Array]]:
         """Return each stage's H and g (W, …) over θ, windows weighted, with initial states eliminated."""
-        return [line.reduced(0.0, usual) for line, usual in zip(self.lines, self.usual, strict=True)]
+        return [line.reduced(0.0) for line in self.lines]
 
     @property
     def cost(self) -> list[Array]:
@@ -292,12 +296,11 @@ class Problem:
                 stage.take(initial[i])
         vector = np.array([theta[name] for name in self.names])
         lines = self._lines(work, vector)
-        usual = [usual_cost(stage.evidence, line.cost) for stage, line in zip(self.stages, lines, strict=True)]
-        at = self._total_loss(vector, lines, usual), lines
+        at = self._total_loss(vector, lines), lines
         damping, converged = 1e-3, False
         for _ in range(iterations):
             while True:
-                trial, moves = self._step(work, at[1], usual, vector, damping)
+                trial, moves = self._step(work, at[1], vector, damping)
                 before = [stage.initial for stage in work]
                 for stage, move in zip(work, moves, strict=True):
                     if stage.remembers:
@@ -305,20 +308,20 @@ class Problem:
                     else:
                         stage.initial = stage.initial + move
                 lines = self._lines(work, trial)
-                there = self._total_loss(trial, lines, usual), lines
+                there = self._total_loss(trial, lines), lines
                 if there[0] <= at[0]:
                     break
                 for stage, kept in zip(work, before, strict=True):
                     stage.initial = kept
                 damping *= 8.0
                 if damping > WORST:
-                    return self._result(work, vector, at[1], usual, True)
+                    return self._result(work, vector, at[1], True)
             gain = (at[0] - there[0]) / max(at[0], 1e-300)
             vector, at, damping = trial, there, max(damping / 8.0, 1e-7)
             if gain < tolerance:
                 converged = True
                 break
-        return self._result(work, vector, at[1], usual, converged)
+        return self._result(work, vector, at[1], converged)
 
     def _lines(self, work: Sequence["_Work"], vector: Array) -> list[Linear]:
         return [stage.linearise(self._named(vector)) for stage in work]
@@ -326,9 +329,9 @@ class Problem:
     def _named(self, vector: Array) -> dict[str, float]:
         return dict(zip(self.names, vector.tolist(), strict=True))
 
-    def _total_loss(self, vector: Array, lines: Sequence[Linear], usual: Sequence[float]) -> float:
+    def _total_loss(self, vector: Array, lines: Sequence[Linear]) -> float:
         """Return F."""
-        total = sum(float(loss(line.cost, each).sum()) for line, each in zip(lines, usual, strict=True))
+        total = sum(line.loss for line in lines)
         total += float((((vector - self.mean) / self.scale) ** 2).sum())
         return total if np.isfinite(total) else np.inf
 
@@ -357,10 +360,10 @@ class Problem:
         return moved
 
     def _step(
-        self, work: Sequence["_Work"], lines: Sequence[Linear], usual: Sequence[float], vector: Array, damping: float
+        self, work: Sequence["_Work"], lines: Sequence[Linear], vector: Array, damping: float
     ) -> tuple[Array, list[Array]]:
         """Return θ after a damped step, and what each stage's initial states move by."""
-        H, g = self._total([line.reduced(damping, each) for line, each in zip(lines, usual, strict=True)])
+        H, g = self._total([line.reduced(damping) for line in lines])
         g += (vector - self.mean) / self.scale**2
         trial = self._moved(H, g, vector, damping) if len(vector) else vector
         moves = [
@@ -373,11 +376,9 @@ class Problem:
         """Return where the names of a stage stand in θ."""
         return [self.names.index(name) for name in stage.names]
 
-    def _result(
-        self, work: Sequence["_Work"], vector: Array, lines: list[Linear], usual: list[float], converged: bool
-    ) -> Fit:
+    def _result(self, work: Sequence["_Work"], vector: Array, lines: list[Linear], converged: bool) -> Fit:
         theta = self._named(vector)
-        return Fit(theta, [stage.initial + stage.drift(theta)[0] for stage in work], lines, usual, converged)
+        return Fit(theta, [stage.initial + stage.drift(theta)[0] for stage in work], lines, converged)
 
     def held_out(self, fit: Fit, folds: Sequence[Sequence[NDArray[np.bool_]]]) -> list[Array]:
         """Return the cost of every window (W,) per stage, under parameters that were found without its fold."""
@@ -408,12 +409,13 @@ class Problem:
             seen = [~mask for mask in fold]
             H, _ = self._total(reduced, seen)
             _, g = self._total(reduced, fold)
-            parts = zip(fit.lines, fit.usual, seen, strict=True)
-            before = sum(float(loss(line.cost[mask], usual).sum()) for line, usual, mask in parts)
+            before = sum(
+                float(loss(line.cost[mask], line.usual).sum()) for line, mask in zip(fit.lines, seen, strict=True)
+            )
             damping = HELD_DAMPING
             while True:  # until the step spoils the windows that it was made from no longer
                 trained = self._at(fit, self._moved(H, -g, self._vector(fit), damping), seen)
-                after = sum(float(loss(work.squares({}), fit.usual[i]).sum()) for i, _, work in trained)
+                after = sum(float(loss(work.squares({}), fit.lines[i].usual).sum()) for i, _, work in trained)
                 if after < SPOILT * before or damping > WORST:
                     break
                 damping *= 30.0
@@ -495,6 +497,7 @@ class _Work:
         self._shifts = problem.shifts(theta)
         self.rest = self.initial[self.rows]
         self._began = dict(theta)
+        self.usual: float | None = None  # cost of a window, where the fit began
         self.precision = np.array([self._precision(states[row], self.initial[row]) for row in self.rows])
 
     def _cut(self, theta: Mapping[str, float]) -> Windows:
@@ -530,14 +533,18 @@ class _Work:
             )
         M = self.mixing
         with np.errstate(invalid="ignore"):  # windows that blow up make the cost infinite
-            raw = Linear.of(parts, len(M), np.zeros((len(self.rows), len(self.rows)))).mixed(M)
+            raw = Linear.of(parts, len(M)).mixed(M)
             if self.problem.memory:
                 raw = raw.led(slope)
         away = self._away()
         cost = raw.cost + (away**2 * self.precision).sum(axis=1)
         if not np.isfinite(parts.H).all():
             cost = np.full_like(cost, np.inf)
-        return replace(raw, cost=cost, xx=raw.xx + np.diag(self.precision), x=raw.x + away * self.precision)
+        if self.usual is None:
+            self.usual = usual_cost(self.problem.evidence, cost)
+        return replace(
+            raw, cost=cost, usual=self.usual, xx=raw.xx + np.diag(self.precision), x=raw.x + away * self.precision
+        )
 
     def _away(self) -> Array:
         """Return how far initial states are from where the measured motion puts them, (W, A)."""

@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,8 +53,9 @@ def score(problem: StageProblem, unknowns: Sequence[Unknown], theta: Mapping[str
     asked = [*range(size), *heard]
     parts = rollout.accumulate(problem.parameters(theta), windows, problem.threads, asked, problem.silent())
     trust = np.array([problem.evidence.trust(rollout.active[i - size]) for i in heard])
-    line = Linear.of(parts, size, np.diag(trust))
-    H, g = (part.sum(axis=0) for part in line.reduced(0.0, usual_cost(problem.evidence, line.cost)))
+    raw = Linear.of(parts, size)
+    line = replace(raw, usual=usual_cost(problem.evidence, raw.cost), xx=raw.xx + np.diag(trust))
+    H, g = (part.sum(axis=0) for part in line.reduced(0.0))
     picked = np.zeros((size, len(absent)))
     for k, name in enumerate(absent):
         picked[:, k] = _direction(problem, rollout.names, name, columns)

@@ -139,7 +139,7 @@ def test_what_no_known_effect_explains_is_called_unknown_and_gets_no_name(damped
     assert 0.4 < facts["residual"]["explained"] <= 1.0
     car = load_vehicle({"file": str(tmp_path / "out" / "model_residual.yaml")})
     assert set(car.effects) == set(facts["residual"]["name"].split(" + "))
-    # terms that the data do not ask for are gone; what is left turns against the yaw rate, as the hidden yaw damping does
+    # terms that the data do not ask for are gone; what is left turns against the yaw rate, like the hidden damping
     assert len(facts["residual"]["terms"]) < 25
     assert np.corrcoef(_learned(car, damped), damped.table["yaw_rate"])[0, 1] < -0.9
     assert "learned residual" in draw_gap(tmp_path / "out").read_text()
