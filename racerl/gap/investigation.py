@@ -27,11 +27,11 @@ from racerl.vehicle.vehicle import Vehicle
 Array = NDArray[np.float64]
 Names = frozenset[str]
 SHARE = 0.1  # of a channel's misfit that counts as noise in its weight
-NOMINAL, REFINE = 20, 8  # most iterations of the nominal fit, of a candidate
-SIFT, SCREEN = (3, 9), (3, 3)  # most iterations, and every which window, of each start of a candidate, of its best
+NOMINAL, SCREEN, REFINE = 20, 3, 8  # most iterations of the nominal fit, of screening, of a candidate
 ASTRAY = 1.3  # times the noise's cost, beyond which a fit says little of the parameters
 PLACES, REACH = 2, 1.5  # of an effect that lies somewhere: places that fits start from, and their size in m
-STARTS, SAMPLED = 2, 3  # of the nominal fit beside the configured vehicle; every which window chooses one
+SAMPLED = 3  # every which window screening, and the choice of a start of the nominal fit, look at
+STARTS = 2  # of the nominal fit, beside the configured vehicle
 STRETCH = 6  # windows that are held out together
 EVEN = 0.05  # excess over the noise's cost at which an actuator's command counts as rightly timed
 MENDED = 0.2  # share of an excess that a half sample must take away for the command's timing to be looked into
@@ -145,9 +145,7 @@ class Investigation:
 
     def _nominal(self, starts: Sequence[Vehicle]) -> Found:
         """Fit the vehicle without effects; weigh channels by their noise and a share of what is left over."""
-        likely = min(
-            (self._refit(vehicle, self._sampled(self.evidence, SAMPLED)) for vehicle in starts), key=self._loss
-        )
+        likely = min((self._refit(vehicle, self._sampled(self.evidence)) for vehicle in starts), key=self._loss)
         found = min((self._refit(vehicle) for vehicle in (self.vehicle, likely.vehicle)), key=self._loss)
         for name, evidence in self.evidence.items():
             stage = next(s for s in found.problem.stages if s.evidence is evidence)
@@ -164,9 +162,9 @@ class Investigation:
         parts = (float(loss(part, self.evidence[name].numbers).sum()) for name, part in found.cost.items())
         return float(np.nan_to_num(sum(parts), nan=np.inf))
 
-    def _sampled(self, stages: Iterable[str], every: int) -> dict[str, NDArray[np.int64]]:
+    def _sampled(self, stages: Iterable[str]) -> dict[str, NDArray[np.int64]]:
         """Return a share of each stage's windows."""
-        return {name: np.arange(len(self.evidence[name].start))[::every] for name in stages}
+        return {name: np.arange(len(self.evidence[name].start))[::SAMPLED] for name in stages}
 
     def _fit(
         self,
@@ -244,10 +242,10 @@ class Investigation:
         return found
 
     def screen(self, base: Found, name: str) -> Screened | None:
-        """Add an effect to a fitted vehicle: a few steps from the best of its usual sizes, on a share of the windows.
+        """Add an effect to a fitted vehicle: a few steps from each of its usual sizes, on a share of the windows.
 
-        Where the fit is astray, all parameters but the effects' start as configured, too. None where no stage shows
-        the effect.
+        Where the fit is astray, all parameters but the effects' start as configured, too. Return the best; None where
+        no stage shows the effect.
         """
         likely = [with_effect(base.vehicle, name, effect) for effect in self._likely(base, name)]
         if name == COG:
@@ -257,17 +255,12 @@ class Investigation:
             return None
         if self.beyond(base, stages) > ASTRAY:
             likely += [replace(self.vehicle, effects=vehicle.effects) for vehicle in likely]
-        if len(likely) > 1:
-            sifted = (self._try(base, name, vehicle, stages, *SIFT) for vehicle in likely)
-            likely = [max(sifted, key=lambda each: each.gain).vehicle]
-        return self._try(base, name, likely[0], stages, *SCREEN)
+        return max((self._try(base, name, vehicle, stages) for vehicle in likely), key=lambda each: each.gain)
 
-    def _try(
-        self, base: Found, name: str, vehicle: Vehicle, stages: Sequence[str], iterations: int, every: int
-    ) -> Screened:
+    def _try(self, base: Found, name: str, vehicle: Vehicle, stages: Sequence[str]) -> Screened:
         """Return where a few iterations on a share of the windows lead a vehicle with an effect more."""
-        some = self._sampled(stages, every)
-        found = self._fit(base.effects | {name}, vehicle, self._start(base, stages), iterations, stages, some)
+        some = self._sampled(stages)
+        found = self._fit(base.effects | {name}, vehicle, self._start(base, stages), SCREEN, stages, some)
         gains = {s: self._fall(s, self.cost(base, s)[some[s]], found.cost[s]) for s in stages}
         return Screened(name, found.vehicle, sum(gains.values()), max(gains, key=lambda s: gains[s]))
 
