@@ -185,7 +185,9 @@ def test_grip_is_lost_where_when_and_how_it_should():
         assert float(front) == float(rear)
         return float(front)
 
-    assert grip("friction_fade", {"rate": 1e-3}, friction_fade__clock=100.0) == pytest.approx(0.9)
+    for time, age in ((1e5, 100.0), (100.0, 100.0 * (1.0 - math.exp(-1.0))), (10.0, 10.0)):  # levels off
+        fade = {"rate": 1e-3, "time": time}
+        assert grip("friction_fade", fade, friction_fade__clock=100.0) == pytest.approx(1.0 - 1e-3 * age, abs=1e-4)
     assert grip("speed_dependent_friction", {"loss": 0.05}, v_x=4.0) == pytest.approx(0.8)
     patch = {"depth": 0.4, "x": 1.0, "radius": 2.0, "edge": 0.2}
     assert [grip("friction_patch", patch, x=x) for x in (1.0, 3.0, 6.0)] == pytest.approx([0.6, 0.8, 1.0], abs=1e-3)
@@ -274,8 +276,9 @@ def test_torque_falls_with_speed():
 
 
 def test_sag_droop_and_split():
-    aged = change("battery_sag", (0.0, 3.0), {"rate": 1e-3}, v_x=3.0, omega=3.0, battery_sag__clock=100.0)
-    assert aged["omega"] == pytest.approx(-0.3 / float(make_car().drive.time_constant))
+    sag = {"rate": 1e-3, "time": 1e5}
+    aged = change("battery_sag", (0.0, 3.0), sag, v_x=3.0, omega=3.0, battery_sag__clock=100.0)
+    assert aged["omega"] == pytest.approx(-0.3 / float(make_car().drive.time_constant), rel=1e-3)
     pushing = {"v_x": 2.0, "omega": 2.3}
     assert change("drive_load_droop", (0.0, 3.0), {"droop": 0.2}, **pushing)["omega"] < -1.0
     turning = {**pushing, "delta": 0.2, "v_y": 0.1, "yaw_rate": 1.0}

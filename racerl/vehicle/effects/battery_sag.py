@@ -1,40 +1,29 @@
 """The speed reached falls short of the command, more and more as the battery runs down.
 
-Formula: ω_ref ← ω_ref (1 − k t).
-Source: discharge line of a lithium battery.
+Formula: ω_ref ← ω_ref (1 − k τ (1 − exp(−t/τ))).
+Source: discharge curve of a lithium battery: steep at first, then flatter.
 In data: steady wheel speeds fall short of their commands, later more than earlier.
 Excited by: the same speeds early and late.
 Confused with: wheel_speed_gain (not over time), drive_load_droop (with force).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
 
-from racerl.vehicle.effects import Effect
+from racerl.vehicle.effects._ageing import Ageing
 from racerl.vehicle.ops import Ops, Scalar
 from racerl.vehicle.parameter import parameter
 
-if TYPE_CHECKING:
-    from racerl.vehicle.vehicle import Course
-
 
 @dataclass(frozen=True, kw_only=True)
-class BatterySag(Effect):
+class BatterySag(Ageing):
     """Loss of speed over time."""
 
     rate: Scalar = parameter("1/s", 0.0, 0.01, "k")
-
-    states: ClassVar[tuple[str, ...]] = ("clock",)
-    told: ClassVar[tuple[str, ...]] = states
-    uniform: ClassVar[bool] = False
+    time: Scalar = parameter("s", 10.0, 100000.0, "τ over which the loss levels off", 300.0)
 
     def command(
         self, delta_ref: Scalar, drive_ref: Scalar, own: Mapping[str, Scalar], ops: Ops
     ) -> tuple[Scalar, Scalar]:
-        """Scale the drive's reference by 1 − k t."""
-        return delta_ref, drive_ref * (1.0 - self.rate * own[self.key("clock")])
-
-    def rates(self, course: "Course", ops: Ops) -> Sequence[Scalar]:
-        """Return the rate of time."""
-        return (1.0 + 0.0 * course.motion.v_x,)
+        """Scale the drive's reference by 1 − k τ (1 − exp(−t/τ))."""
+        return delta_ref, drive_ref * (1.0 - self.rate * self.age(own, self.time, ops))
