@@ -7,6 +7,7 @@ from racerl.documents import read_yaml
 from racerl.vehicle import catalogue
 from racerl.vehicle.effects import Effect
 
+PLACE = ("x", "y")
 SIZES = (1.0, 0.25, 4.0)  # of the usual values, where only one sign is physical
 
 
@@ -32,4 +33,4 @@ def neutral(name: str) -> tuple[str, float]:
 def placed(name: str) -> bool:
     """Return whether an effect lies at some place (x, y) of the world."""
     parameters = catalogue.entry(name).parameters
-    return {"x", "y"} <= set(parameters) and parameters["x"].unit == "m"
+    return set(PLACE) <= set(parameters) and parameters["x"].unit == "m"

@@ -35,7 +35,7 @@ LOCATE, NAME, PROOF, VERDICT, MODEL = "locate.json", "name.json", "prove.json", 
 MODEL_BEFORE = "model_before.yaml"  # refitted, without the effects found
 RESIDUAL, RESIDUAL_MODEL = "residual.json", "model_residual.yaml"
 FEWEST = 20  # windows of a stage, below which it is left out
-KNOWN = 0.1  # half width of an interval, as a share of the value, within which a parameter counts as identified
+KNOWN = 0.05  # half width of an interval, as a share of the value, within which the data identify a parameter
 PROGRAMME = (
     "ten runs or more with step steers of three sizes, slow ramps to full lock, circles of two radii at two speeds "
     "both ways round, speed steps up and down, and coast-downs, at up to the tyres' limit"
@@ -288,9 +288,13 @@ def _write_vehicle(
     path: Path, settings: Mapping[str, Any], facts: Mapping[str, Any], investigation: Investigation, found: Found
 ) -> None:
     """Write the refitted vehicle with the effects that were named."""
-    units = specifications(found.vehicle)
+    units, deviations = specifications(found.vehicle), investigation.deviations(found)
     parameters = {
-        name: {"ci95": [low, high], "identified": high - low < 2.0 * KNOWN * abs(value), "unit": units[name].unit}
+        name: {
+            "ci95": [low, high],
+            "identified": 1.96 * deviations[name] < KNOWN * abs(value),
+            "unit": units[name].unit,
+        }
         for name, (value, low, high) in intervals(investigation, found).items()
     }
     added = {

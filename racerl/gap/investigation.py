@@ -138,7 +138,7 @@ class Investigation:
         return replace(given, early=float(best.x)) if best.fun <= enough else given
 
     def _drawn(self, nominal: Unknowns, generator: np.random.Generator) -> list[Vehicle]:
-        """Return vehicles that are as likely as the configured one."""
+        """Return vehicles within one prior deviation of the configured one."""
         moved = nominal.sigma * generator.uniform(-1.0, 1.0, (STARTS, len(nominal.names)))
         starts = [dict(zip(nominal.names, nominal.clip(nominal.start + row).tolist(), strict=True)) for row in moved]
         return [replace_values(self.vehicle, start) for start in starts]
@@ -146,7 +146,8 @@ class Investigation:
     def _nominal(self, starts: Sequence[Vehicle]) -> Found:
         """Fit the vehicle without effects; weigh channels by their noise and a share of what is left over."""
         likely = min((self._refit(vehicle, self._sampled(self.evidence)) for vehicle in starts), key=self._loss)
-        found = min((self._refit(vehicle) for vehicle in (self.vehicle, likely.vehicle)), key=self._loss)
+        drawn = replace_values(self.vehicle, likely.fit.theta)  # what no stage tells stays as configured
+        found = min((self._refit(vehicle) for vehicle in (self.vehicle, drawn)), key=self._loss)
         for name, evidence in self.evidence.items():
             stage = next(s for s in found.problem.stages if s.evidence is evidence)
             left = (stage.errors(found.theta, found.initial[name]) ** 2).mean(axis=(0, 2))
@@ -158,9 +159,9 @@ class Investigation:
         return self._fit(frozenset(), vehicle, None, NOMINAL, index=index)
 
     def _loss(self, found: Found) -> float:
-        """Return the loss of a fit's windows, against the noise's cost; infinite where one of them blew up."""
+        """Return F of a fit, n the noise's cost; infinite where a window blew up."""
         parts = (float(loss(part, self.evidence[name].numbers).sum()) for name, part in found.cost.items())
-        return float(np.nan_to_num(sum(parts), nan=np.inf))
+        return float(np.nan_to_num(found.problem.prior(found.fit) + sum(parts), nan=np.inf))
 
     def _sampled(self, stages: Iterable[str]) -> dict[str, NDArray[np.int64]]:
         """Return a share of each stage's windows."""

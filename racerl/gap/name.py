@@ -11,9 +11,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from racerl.gap.catalogue import neutral, placed
+from racerl.gap.catalogue import PLACE, neutral, placed
 from racerl.gap.investigation import Found, Investigation, Screened
 from racerl.gap.score import Score, summed
+from racerl.vehicle import catalogue
 from racerl.vehicle.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -30,7 +31,8 @@ CLEAR = 3.0  # standard errors by which a gain must differ from zero
 SAME = 2.0  # standard errors within which candidates explain alike
 PARAMETER = 0.01  # share of the excess that one more parameter must explain
 WILD, TYPICAL = 30.0, 10.0  # mean squared deviation of a wild window, and its cost in median ones
-FORM, EXACT = 0.05, 0.01  # deviation, as a share, of the parameters of effects of many forms (by development logs), one
+FORM = 0.05  # deviation, as a share, between the parameters of an effect's forms where it has many (development logs)
+EXACT = 0.01  # the same, where it has one
 WORTH = 0.04  # share of the first excess, and of what is left of it before the round, that an effect must explain
 
 
@@ -188,6 +190,8 @@ def _settled(investigation: Investigation, decision: Decision) -> Decision:
 
 def _idle(name: str, ranges: Mapping[str, tuple[float, float, float]]) -> bool:
     first, zero = neutral(name)
+    if not catalogue.entry(name).cls.vanishes:
+        return False
     _, low, high = ranges[f"effects.{name}.{first}"]
     return low <= zero <= high
 
@@ -207,13 +211,19 @@ def intervals(investigation: Investigation, found: Found) -> dict[str, tuple[flo
 
 
 def _form(vehicle: Vehicle, parameter: str, value: float) -> float:
-    """Return the deviation between the parameters of an effect's likely forms, by its distance from no effect."""
+    """Return the deviation between a parameter of an effect's likely forms, by its distance from no effect.
+
+    That of a place is in the effect's own length.
+    """
     name, _, key = parameter.removeprefix("effects.").rpartition(".")
     effect = vehicle.effects.get(name)
     if effect is None or not effect.physical:
         return 0.0
     first, zero = neutral(name)
-    return (EXACT if effect.exact else FORM) * abs(value - zero if key == first else value)
+    size = value - zero if key == first else value
+    if placed(name) and key in PLACE:
+        size = float(getattr(effect, "radius", 0.0))
+    return (EXACT if effect.exact else FORM) * abs(size)
 
 
 def excess(investigation: Investigation, cost: Mapping[str, Array]) -> float:

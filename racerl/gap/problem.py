@@ -192,11 +192,11 @@ class Linear:
     x: Array  # (W, A)
 
     @classmethod
-    def of(cls, parts: NormalEquations, size: int) -> "Linear":
+    def of(cls, parts: NormalEquations, size: int, evidence: Evidence) -> "Linear":
         """Split normal equations after their first `size` unknowns."""
-        H, g = parts.H, parts.g
+        H, g, cost = parts.H, parts.g, parts.squares.sum(axis=1)
         tt, tx, xx = H[:, :size, :size], H[:, :size, size:], H[:, size:, size:]
-        return cls(parts.squares.sum(axis=1), np.inf, tt, tx, xx, g[:, :size], g[:, size:])
+        return cls(cost, usual_cost(evidence, cost), tt, tx, xx, g[:, :size], g[:, size:])
 
     @property
     def loss(self) -> float:
@@ -332,8 +332,15 @@ class Problem:
     def _total_loss(self, vector: Array, lines: Sequence[Linear]) -> float:
         """Return F."""
         total = sum(line.loss for line in lines)
-        total += float((((vector - self.mean) / self.scale) ** 2).sum())
+        total += self._prior(vector)
         return total if np.isfinite(total) else np.inf
+
+    def prior(self, fit: Fit) -> float:
+        """Return Σ ((θ − θ_0)/s)² of a fit."""
+        return self._prior(self._vector(fit))
+
+    def _prior(self, vector: Array) -> float:
+        return float((((vector - self.mean) / self.scale) ** 2).sum())
 
     def _total(
         self, reduced: Sequence[tuple[Array, Array]], windows: Sequence[NDArray[np.bool_]] | None = None
@@ -444,12 +451,12 @@ class Problem:
     def covariance(self, fit: Fit, blocks: Sequence[NDArray[np.int64]]) -> Array:
         """Return the covariance of θ (N, N), robust against errors that are alike within blocks of windows.
 
-        A⁻¹ (Σ_b g_b g_bᵀ) A⁻¹ with A = H and the priors, g_b the gradient of a block.
+        A⁻¹ (S⁻² + Σ_b g_b g_bᵀ) A⁻¹ with A = H + S⁻², S the priors' deviations, g_b the gradient of a block.
         """
         reduced = fit.reduced()
         H, _ = self._total(reduced)
         inverse = np.linalg.inv(H + np.diag(self.scale**-2.0))
-        meat = np.zeros_like(H)
+        meat = np.diag(self.scale**-2.0)
         for stage, (_, slope), block in zip(self.stages, reduced, blocks, strict=True):
             place = self._places(stage)
             sums = np.stack([np.bincount(block, column) for column in slope.T], axis=1)  # (B, N)
@@ -533,7 +540,7 @@ class _Work:
             )
         M = self.mixing
         with np.errstate(invalid="ignore"):  # windows that blow up make the cost infinite
-            raw = Linear.of(parts, len(M)).mixed(M)
+            raw = Linear.of(parts, len(M), self.problem.evidence).mixed(M)
             if self.problem.memory:
                 raw = raw.led(slope)
         away = self._away()
@@ -541,7 +548,7 @@ class _Work:
         if not np.isfinite(parts.H).all():
             cost = np.full_like(cost, np.inf)
         if self.usual is None:
-            self.usual = usual_cost(self.problem.evidence, cost)
+            self.usual = raw.usual
         return replace(
             raw, cost=cost, usual=self.usual, xx=raw.xx + np.diag(self.precision), x=raw.x + away * self.precision
         )

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from racerl.gap.follow import follow
 from racerl.gap.presence import only_shifts
-from racerl.gap.problem import Linear, StageProblem, Unknown, usual_cost
+from racerl.gap.problem import Linear, StageProblem, Unknown
 from racerl.gap.stage import SHIFTS
 from racerl.vehicle.vehicle import STATE
 
@@ -53,8 +53,8 @@ def score(problem: StageProblem, unknowns: Sequence[Unknown], theta: Mapping[str
     asked = [*range(size), *heard]
     parts = rollout.accumulate(problem.parameters(theta), windows, problem.threads, asked, problem.silent())
     trust = np.array([problem.evidence.trust(rollout.active[i - size]) for i in heard])
-    raw = Linear.of(parts, size)
-    line = replace(raw, usual=usual_cost(problem.evidence, raw.cost), xx=raw.xx + np.diag(trust))
+    line = Linear.of(parts, size, problem.evidence)
+    line = replace(line, xx=line.xx + np.diag(trust))
     H, g = (part.sum(axis=0) for part in line.reduced(0.0))
     picked = np.zeros((size, len(absent)))
     for k, name in enumerate(absent):

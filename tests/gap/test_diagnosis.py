@@ -16,7 +16,7 @@ from racerl.gap.evidence import Evidence, contradictory
 from racerl.gap.growth import growth, places
 from racerl.gap.investigation import Screened
 from racerl.gap.locate import _test
-from racerl.gap.name import EXACT, FORM, _hopeful, intervals
+from racerl.gap.name import EXACT, FORM, _hopeful, _idle, intervals
 from racerl.gap.plan import plan, telling
 from racerl.gap.problem import Unknown
 from racerl.gap.prove import explained
@@ -309,17 +309,29 @@ def test_what_shows_and_looks_like_no_other_is_separable():
     assert separable(Score(names, H, np.zeros(5))) == ("steering_delay", "downforce")
 
 
-def test_an_effect_of_many_forms_is_known_less_well_than_one_of_a_single_form():
-    vehicle = make_car("+vehicle/effect=[steering_gain,steering_backlash]", "vehicle.effects.steering_gain.gain=1.1")
-    unknowns = [
-        Unknown(f"effects.{name}", 0.0, 1.0, 0.0, 2.0) for name in ("steering_gain.gain", "steering_backlash.play")
-    ]
-    theta = {unknowns[0].name: 1.1, unknowns[1].name: 0.04}
-    found = SimpleNamespace(vehicle=vehicle, theta=theta, problem=SimpleNamespace(unknowns=unknowns))
-    known = SimpleNamespace(deviations=lambda found: dict.fromkeys(theta, 0.0))
-    halves = {name: 0.5 * (high - low) for name, (_, low, high) in intervals(known, found).items()}
-    assert halves[unknowns[0].name] == pytest.approx(1.96 * EXACT * 0.1)  # of what it changes, not of the gain
-    assert halves[unknowns[1].name] == pytest.approx(1.96 * FORM * 0.04)
+@pytest.mark.parametrize(
+    ("name", "values", "key", "deviation"),
+    [
+        ("steering_gain", {"gain": 1.1}, "gain", EXACT * 0.1),  # of what it changes, not of the gain
+        ("steering_backlash", {"play": 0.04}, "play", FORM * 0.04),
+        ("tyre_heating", {"loss": 0.1, "time": 20.0}, "time", FORM * 20.0),
+        ("friction_patch", {"depth": 0.3, "x": 12.0, "radius": 1.5}, "x", FORM * 1.5),  # the world's origin is anywhere
+        ("learned_residual", {"about_turn": 0.5}, "about_turn", 0.0),
+    ],
+)
+def test_an_effect_is_known_no_better_than_its_form(name, values, key, deviation):
+    vehicle = dataclasses.replace(make_car(), effects={name: catalogue.entry(name).cls(**values)})
+    parameter, value = f"effects.{name}.{key}", values[key]
+    unknowns = [Unknown(parameter, 0.0, 1.0, -100.0, 100.0)]
+    found = SimpleNamespace(vehicle=vehicle, theta={parameter: value}, problem=SimpleNamespace(unknowns=unknowns))
+    _, low, high = intervals(SimpleNamespace(deviations=lambda found: {parameter: 0.0}), found)[parameter]
+    assert 0.5 * (high - low) == pytest.approx(1.96 * deviation) and 0.5 * (low + high) == pytest.approx(value)
+
+
+def test_a_rear_driven_split_is_no_idle_effect():
+    assert _idle("steering_offset", {"effects.steering_offset.offset": (0.001, -0.001, 0.003)})
+    assert not _idle("steering_offset", {"effects.steering_offset.offset": (0.003, 0.001, 0.005)})
+    assert not _idle("drive_split", {"effects.drive_split.front": (0.0, 0.0, 0.1)})  # bounds, not doubt
 
 
 def test_the_next_manoeuvre_is_what_would_decide():

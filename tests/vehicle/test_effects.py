@@ -276,9 +276,10 @@ def test_torque_falls_with_speed():
 
 
 def test_sag_droop_and_split():
-    sag = {"rate": 1e-3, "time": 1e5}
-    aged = change("battery_sag", (0.0, 3.0), sag, v_x=3.0, omega=3.0, battery_sag__clock=100.0)
-    assert aged["omega"] == pytest.approx(-0.3 / float(make_car().drive.time_constant), rel=1e-3)
+    for time, age in ((1e5, 100.0), (100.0, 100.0 * (1.0 - math.exp(-1.0)))):
+        sag = {"rate": 1e-3, "time": time}
+        aged = change("battery_sag", (0.0, 3.0), sag, v_x=3.0, omega=3.0, battery_sag__clock=100.0)
+        assert aged["omega"] == pytest.approx(-3e-3 * age / float(make_car().drive.time_constant), rel=1e-3)
     pushing = {"v_x": 2.0, "omega": 2.3}
     assert change("drive_load_droop", (0.0, 3.0), {"droop": 0.2}, **pushing)["omega"] < -1.0
     turning = {**pushing, "delta": 0.2, "v_y": 0.1, "yaw_rate": 1.0}

@@ -28,7 +28,8 @@ class Effect:
     symmetric: ClassVar[bool] = True  # a mirrored drive stays possible
     uniform: ClassVar[bool] = True  # the same everywhere, in every direction and at all times
     physical: ClassVar[bool] = True  # of the catalogue
-    exact: ClassVar[bool] = False  # it has one form: a shift in time, an offset, a gain
+    exact: ClassVar[bool] = False  # it has one form: a shift in time or place, a rotation, an offset, a gain
+    vanishes: ClassVar[bool] = True  # where its first parameter is 0, or 1 for a factor
     known: ClassVar[tuple[str, ...]] = ()  # parameters that no fit changes
     memory: ClassVar[tuple[str, ...]] = ()  # time constants of own states that are first-order lags over seconds
     told: ClassVar[tuple[str, ...]] = ()  # own states that the drive so far tells, whatever a window of a second shows

@@ -13,7 +13,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Ageing(Effect):
-    """An effect that grows from the drive's beginning on, in the end more slowly."""
+    """An effect that grows from the drive's beginning on, in the end more slowly.
+
+    τ stands in the subclasses, since the first parameter of an effect is its size.
+    """
 
     states: ClassVar[tuple[str, ...]] = ("clock",)
     told: ClassVar[tuple[str, ...]] = states

@@ -20,7 +20,7 @@ class BatterySag(Ageing):
     """Loss of speed over time."""
 
     rate: Scalar = parameter("1/s", 0.0, 0.01, "k")
-    time: Scalar = parameter("s", 10.0, 100000.0, "τ over which the loss levels off", 300.0)
+    time: Scalar = parameter("s", 10.0, 100000.0, "τ over which the loss levels off")
 
     def command(
         self, delta_ref: Scalar, drive_ref: Scalar, own: Mapping[str, Scalar], ops: Ops

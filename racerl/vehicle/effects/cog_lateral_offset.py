@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 class CogLateralOffset(Effect):
     """Lever arm of the drive."""
 
-    offset: Scalar = parameter("m", -0.1, 0.1, "e")
+    offset: Scalar = parameter("m", -0.1, 0.1, "e, positive to the right")
 
     symmetric: ClassVar[bool] = False
     exact: ClassVar[bool] = True

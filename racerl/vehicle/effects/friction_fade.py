@@ -25,7 +25,7 @@ class FrictionFade(Ageing):
     """Loss of grip over time."""
 
     rate: Scalar = parameter("1/s", -0.01, 0.01, "k, positive for a loss")
-    time: Scalar = parameter("s", 10.0, 100000.0, "τ over which the loss levels off", 300.0)
+    time: Scalar = parameter("s", 10.0, 100000.0, "τ over which the loss levels off")
 
     def grip(self, friction: Pair, motion: "Motion", ops: Ops) -> Pair:
         """Scale the grip by 1 − k τ (1 − exp(−t/τ))."""
