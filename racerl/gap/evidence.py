@@ -19,7 +19,9 @@ from racerl.vehicle.vehicle import STATE
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 MARGIN = 25  # samples of a run before its first window, so that late inputs are known
-SMOOTH, SLOPE = 5, 7  # samples of the quadratic Savitzky–Golay filters of measured inputs and their slopes
+SMOOTH = (33, 17, 9, 5)  # samples of the quadratic Savitzky–Golay filters that measured inputs may be smoothed by
+STEEP = 2  # samples more for their slopes
+QUIET, PART = 2.0, 50  # most mean square over so many samples, in that of the noise, that smoothing may take away
 LOCAL, ORDER = 11, 4  # samples and order of the local polynomials that tell noise from motion
 COMMANDS = ("delta_ref", "omega_ref")
 INSTEAD = {"delta": "delta_ref", "omega": "omega_ref"}  # where an actuator that was not measured may be
@@ -141,14 +143,23 @@ class Evidence:
         return {name: self._smooth(name) for name in self.stage.inputs if name not in COMMANDS}
 
     def _smooth(self, name: str) -> tuple[Array, Array]:
-        values, slopes = self.columns[name].copy(), np.zeros(len(self.first))
+        """Return a channel and its slope, smoothed as far as nothing but noise is lost: its noise moves the car."""
+        noise = float(self.noise_of([name])[0])
+        for window in SMOOTH:
+            values = self._filtered(name, window)
+            if _quiet(self.columns[name] - values, noise):
+                break
+        return values, self._filtered(name, window + STEEP, deriv=1)
+
+    def _filtered(self, name: str, window: int, deriv: int = 0) -> Array:
+        """Return a channel or its slope, filtered run by run; as it is, or zero, in runs that are too short."""
+        values = np.zeros(len(self.first)) if deriv else self.columns[name].copy()
         for begin in np.unique(self.first):
             end = self.last[begin] + 1
-            if end - begin >= SLOPE:
+            if end - begin >= window:
                 part = self.columns[name][begin:end]
-                values[begin:end] = savgol_filter(part, SMOOTH, 2, mode="interp")
-                slopes[begin:end] = savgol_filter(part, SLOPE, 2, deriv=1, delta=self.dt, mode="interp")
-        return values, slopes
+                values[begin:end] = savgol_filter(part, window, 2, deriv=deriv, delta=self.dt, mode="interp")
+        return values
 
     def trust(self, name: str) -> float:
         """Return how precisely a window's initial state is known from its measurement, in 1/σ².
@@ -207,6 +218,12 @@ def derived(runs: Sequence[pd.DataFrame], dt: float) -> bool:
             if (np.median(np.abs(made - given)[:, inner], axis=1) < ALIKE * np.maximum(noise, 1e-6)).all():
                 return True
     return False
+
+
+def _quiet(lost: Array, noise: float) -> bool:
+    """Return whether what smoothing took away is noise throughout."""
+    parts = lost[: len(lost) // PART * PART].reshape(-1, PART)
+    return bool(((parts**2).mean(axis=1) < QUIET * noise**2).all())
 
 
 def _spread(column: Array) -> float:

@@ -97,10 +97,9 @@ class Investigation:
         for name in {"steering", "drive"} & set(self.evidence):
             self.evidence[name] = self._timed(name)
         self.base = self._nominal(self._drawn(nominal, np.random.default_rng(seed)))
-        self.noise_errors = self.expected(self.base, seed)
-        self.floor = {
-            name: float(((errors / self.sigma[name][:, None]) ** 2).sum()) for name, errors in self.noise_errors.items()
-        }
+        self.seed = seed
+        self.noise_errors = self.expected(self.base)
+        self.floor = self._squares(self.noise_errors)
         self.folds = self._deal(folds)
 
     def _kernels(self, catalogue: Mapping[str, Sequence[Effect]]) -> dict[str, StageKernels]:
@@ -323,12 +322,21 @@ class Investigation:
         vehicle = replace_values(found.vehicle, changes)
         return self._fit(found.effects, vehicle, found, NOMINAL, list(found.cost))
 
-    def expected(self, found: Found, seed: int) -> dict[str, Array]:
+    def expected(self, found: Found) -> dict[str, Array]:
         """Return the errors (T + 1, C, W) per stage that sensors' noise alone would leave in a right vehicle."""
         return {
-            (name := stage.evidence.stage.name): expected_errors(stage, found.theta, initial, self.noise[name], seed)
+            (name := stage.evidence.stage.name): expected_errors(
+                stage, found.theta, initial, self.noise[name], self.seed
+            )
             for stage, initial in zip(found.problem.stages, found.fit.initial, strict=True)
         }
+
+    def noise_cost(self, found: Found) -> dict[str, float]:
+        """Return the cost per stage that sensors' noise alone would leave if a fitted vehicle were right."""
+        return self._squares(self.expected(found))
+
+    def _squares(self, errors: Mapping[str, Array]) -> dict[str, float]:
+        return {name: float(((part / self.sigma[name][:, None]) ** 2).sum()) for name, part in errors.items()}
 
     def everywhere(self, found: Found) -> Found:
         """Identify all parameters again, over all stages, with the effects of a fit."""

@@ -33,6 +33,7 @@ PARAMETER = 0.01  # share of the excess that one more parameter must explain
 WILD, TYPICAL = 30.0, 10.0  # mean squared deviation of a wild window, and its cost in median ones
 FORM = 0.05  # deviation, as a share, between the parameters of an effect's forms where it has many (development logs)
 EXACT = 0.01  # the same, where it has one
+DEAF = 0.5  # share of a gain that may be noise of measured inputs that is passed on no longer
 WORTH = 0.04  # share of the first excess, and of what is left of it before the round, that an effect must explain
 
 
@@ -91,14 +92,34 @@ def name_effects(
         if number:
             scores = investigation.scores(decision.found)
         scored = _round(judge, decision, scores, _within(on_progress, number))
+        while scored and _wanted(scored[0]) and _deaf(judge, decision, scored[0]):
+            scored = judge.ranked(scored[1:], decision.cost)
         decision.rounds.append(scored)
-        if not scored or not scored[0].clear or min(scored[0].explained, scored[0].worth) < WORTH:
+        if not scored or not _wanted(scored[0]):
             break
         best = scored[0]
         decision.chosen.append(best.name)
         decision.found, decision.cost = best.found, {**decision.cost, **best.cost}
         decision.excess.append(excess(investigation, decision.cost))
     return _settled(investigation, _without_needless(judge, decision))
+
+
+def _wanted(best: Scored) -> bool:
+    return best.clear and min(best.explained, best.worth) >= WORTH
+
+
+def _deaf(judge: "Judge", decision: Decision, best: Scored) -> bool:
+    """Return whether a candidate gains by passing on less of the measured inputs' noise, not by knowing the car.
+
+    Soft tyres that lag, and a time shift that takes the lag back, smooth what drives a slow car.
+    """
+    investigation, after = judge.investigation, judge.investigation.noise_cost(best.found)
+    before = {**investigation.floor, **investigation.noise_cost(decision.found)}
+    had, left = (
+        sum(excesses(investigation, {stage: cost[stage] for stage in after}).values())
+        for cost in ({**investigation.base.cost, **decision.found.cost}, best.found.cost)
+    )
+    return sum(before[stage] - after[stage] for stage in after) > DEAF * (had - left)
 
 
 def _within(on_progress: Callable[[str, float], None], number: int) -> Callable[[str, float], None]:
@@ -124,14 +145,7 @@ def _round(
         judge.score(row.name, investigation.converged(row.found), decision.cost) if close else row
         for row, close in zip(scored, near, strict=True)
     ]
-    scored.sort(key=lambda row: -row.gain)
-    if scored:
-        alike = [
-            row for row in scored if row.clear >= scored[0].clear and judge.behind(scored[0], row, decision.cost) < SAME
-        ]
-        first = max(alike, key=lambda row: row.explained - PARAMETER * row.size)
-        scored = [first, *(row for row in scored if row is not first)]
-    return [replace(row, behind=judge.behind(scored[0], row, decision.cost)) for row in scored]
+    return judge.ranked(scored, decision.cost)
 
 
 def _shortlist(scores: Mapping[str, Score], lost: Collection[str]) -> list[str]:
@@ -271,6 +285,15 @@ class Judge:
         )
         share, worth = (had - left) / max(had, least), (had - left) / max(first, least)
         return Scored(name, found, cost, gain, error, self.chance(before, cost), share, worth)
+
+    def ranked(self, scored: Sequence[Scored], before: Mapping[str, Array]) -> list[Scored]:
+        """Return candidates, best first: by their gains, but of those alike the one that explains most first."""
+        rows = sorted(scored, key=lambda row: -row.gain)
+        if rows:
+            alike = [row for row in rows if row.clear >= rows[0].clear and self.behind(rows[0], row, before) < SAME]
+            first = max(alike, key=lambda row: row.explained - PARAMETER * row.size)
+            rows = [first, *(row for row in rows if row is not first)]
+        return [replace(row, behind=self.behind(rows[0], row, before)) for row in rows]
 
     def behind(self, best: Scored, other: Scored, before: Mapping[str, Array]) -> float:
         """Return by how many standard errors a candidate is worse than the best."""
