@@ -16,7 +16,7 @@ from racerl.gap.evidence import Evidence, contradictory
 from racerl.gap.growth import growth, places
 from racerl.gap.investigation import Screened
 from racerl.gap.locate import _test
-from racerl.gap.name import EXACT, FORM, _hopeful, _idle, intervals
+from racerl.gap.name import EXACT, FORM, _deaf, _hopeful, _idle, intervals
 from racerl.gap.plan import plan, telling
 from racerl.gap.problem import Unknown
 from racerl.gap.prove import explained
@@ -326,6 +326,23 @@ def test_an_effect_is_known_no_better_than_its_form(name, values, key, deviation
     found = SimpleNamespace(vehicle=vehicle, theta={parameter: value}, problem=SimpleNamespace(unknowns=unknowns))
     _, low, high = intervals(SimpleNamespace(deviations=lambda found: {parameter: 0.0}), found)[parameter]
     assert 0.5 * (high - low) == pytest.approx(1.96 * deviation) and 0.5 * (low + high) == pytest.approx(value)
+
+
+@pytest.mark.parametrize(("noise", "deaf"), [(990.0, False), (960.0, False), (900.0, True)])
+def test_a_gain_that_is_noise_passed_on_no_longer_is_none(monkeypatch, noise, deaf):
+    monkeypatch.setattr(
+        "racerl.gap.name.excesses", lambda investigation, cost: {"chassis": float(cost["chassis"].sum())}
+    )
+    costs = {
+        name: {"chassis": np.array([total])} for name, total in (("base", 1100.0), ("now", 1100.0), ("best", 990.0))
+    }
+    found = {name: SimpleNamespace(cost=cost) for name, cost in costs.items()}
+    left = {id(found["now"]): 1000.0, id(found["best"]): noise}
+    investigation = SimpleNamespace(
+        base=found["base"], floor={"chassis": 1000.0}, noise_cost=lambda fit: {"chassis": left[id(fit)]}
+    )
+    judge, decision = SimpleNamespace(investigation=investigation), SimpleNamespace(found=found["now"])
+    assert _deaf(judge, decision, SimpleNamespace(found=found["best"])) == deaf
 
 
 def test_a_rear_driven_split_is_no_idle_effect():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from racerl.gap.evidence import Evidence
+from racerl.gap.evidence import SMOOTH, Evidence
 from racerl.gap.follow import follow, lagged
 from racerl.gap.investigation import COG
 from racerl.gap.name import name_effects
@@ -50,6 +50,15 @@ def test_an_input_is_shifted_by_so_many_seconds(clean):
     half, whole = (commands.windows(states, (shift, 0.0)).inputs[:, 0] for shift in (0.005, 0.01))
     none = commands.windows(states, (0.0, 0.0)).inputs[:, 0]
     assert np.allclose(half, (none + whole) / 2)
+
+
+def test_inputs_are_smoothed_as_far_as_only_noise_is_lost(clean):
+    lively = Evidence.of([clean], CHASSIS, 85, 0.5)
+    assert np.allclose(lively.smoothed["omega"][0], lively._filtered("omega", min(SMOOTH)))
+    truth = 2.0 + 0.5 * np.sin(0.01 * np.arange(len(lively.first)))
+    shown = truth + 0.02 * np.random.default_rng(0).standard_normal(len(truth))
+    slow = dataclasses.replace(lively, columns={**lively.columns, "omega": shown})
+    assert (slow.smoothed["omega"][0] - truth).std() < 0.35 * 0.02  # a filter over five samples leaves 0.7 of it
 
 
 def test_the_noise_of_every_channel_is_found(clean):
