@@ -24,6 +24,7 @@ from racerl.gap.prove import prove
 from racerl.gap.stage import CHAIN, Stage, stages
 from racerl.gap.verdict import Verdict, judge, separable
 from racerl.identify.document import write_model
+from racerl.identify.uncertainty import IDENTIFIED
 from racerl.identify.unknowns import choose_unknowns
 from racerl.run import RunFolder
 from racerl.vehicle import catalogue
@@ -35,7 +36,6 @@ LOCATE, NAME, PROOF, VERDICT, MODEL = "locate.json", "name.json", "prove.json", 
 MODEL_BEFORE = "model_before.yaml"  # refitted, without the effects found
 RESIDUAL, RESIDUAL_MODEL = "residual.json", "model_residual.yaml"
 FEWEST = 20  # windows of a stage, below which it is left out
-KNOWN = 0.05  # half width of an interval, as a share of the value, within which the data identify a parameter
 PROGRAMME = (
     "ten runs or more with step steers of three sizes, slow ramps to full lock, circles of two radii at two speeds "
     "both ways round, speed steps up and down, and coast-downs, at up to the tyres' limit"
@@ -153,7 +153,7 @@ def _steps(
     decision = name_effects(investigation, seed, lambda what, share: on_progress(f"name: {what}", 0.15 + 0.75 * share))
     verdict = judge(investigation, decision)
     on_progress("add", 0.9)
-    named = _named(decision, verdict, intervals(investigation, decision.found))
+    named = _named(decision, verdict, intervals(decision.found, investigation.deviations(decision.found)))
     write_json(folder / NAME, named)
     on_progress("prove", 0.95)
     proof = _once(folder / PROOF, lambda: prove(investigation, decision.found, seed))
@@ -292,10 +292,10 @@ def _write_vehicle(
     parameters = {
         name: {
             "ci95": [low, high],
-            "identified": 1.96 * deviations[name] < KNOWN * abs(value),
+            "identified": 1.96 * deviations[name] < IDENTIFIED * abs(value),
             "unit": units[name].unit,
         }
-        for name, (value, low, high) in intervals(investigation, found).items()
+        for name, (value, low, high) in intervals(found, deviations).items()
     }
     added = {
         name: {key.rpartition(".")[2]: found.theta[key] for key in found.theta if key.startswith(f"effects.{name}.")}

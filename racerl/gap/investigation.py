@@ -138,9 +138,8 @@ class Investigation:
 
     def _drawn(self, nominal: Unknowns, generator: np.random.Generator) -> list[Vehicle]:
         """Return vehicles within one prior deviation of the configured one."""
-        moved = nominal.sigma * generator.uniform(-1.0, 1.0, (STARTS, len(nominal.names)))
-        starts = [dict(zip(nominal.names, nominal.clip(nominal.start + row).tolist(), strict=True)) for row in moved]
-        return [replace_values(self.vehicle, start) for start in starts]
+        starts = [nominal.draw_within(generator).tolist() for _ in range(STARTS)]
+        return [replace_values(self.vehicle, dict(zip(nominal.names, start, strict=True))) for start in starts]
 
     def _nominal(self, starts: Sequence[Vehicle]) -> Found:
         """Fit the vehicle without effects; weigh channels by their noise and a share of what is left over."""

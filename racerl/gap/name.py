@@ -74,6 +74,7 @@ class Decision:
     chosen: list[str]
     found: Found
     cost: dict[str, Array]  # of held-out windows
+    noise: dict[str, float]  # cost that the sensors' noise alone would leave
     score: Score  # of the refitted vehicle without effects
     rounds: list[list[Scored]] = field(default_factory=list)
     excess: list[float] = field(default_factory=list)  # of the cost over the noise, before each round and at the end
@@ -87,19 +88,25 @@ def name_effects(
     cost = investigation.held_out(base)
     judge = Judge(investigation, np.random.default_rng(seed), cost)
     scores = investigation.scores(base)
-    decision = Decision([], base, cost, summed(scores.values()), excess=[excess(investigation, cost)])
+    decision = Decision(
+        [], base, cost, investigation.floor, summed(scores.values()), excess=[excess(investigation, cost)]
+    )
     for number in range(ROUNDS):
         if number:
             scores = investigation.scores(decision.found)
         scored = _round(judge, decision, scores, _within(on_progress, number))
-        while scored and _wanted(scored[0]) and _deaf(judge, decision, scored[0]):
+        noise = decision.noise
+        while scored and _wanted(scored[0]):
+            noise = {**decision.noise, **investigation.noise_cost(scored[0].found)}
+            if not _deaf(investigation, decision, scored[0], noise):
+                break
             scored = judge.ranked(scored[1:], decision.cost)
         decision.rounds.append(scored)
         if not scored or not _wanted(scored[0]):
             break
         best = scored[0]
         decision.chosen.append(best.name)
-        decision.found, decision.cost = best.found, {**decision.cost, **best.cost}
+        decision.found, decision.cost, decision.noise = best.found, {**decision.cost, **best.cost}, noise
         decision.excess.append(excess(investigation, decision.cost))
     return _settled(investigation, _without_needless(judge, decision))
 
@@ -108,18 +115,16 @@ def _wanted(best: Scored) -> bool:
     return best.clear and min(best.explained, best.worth) >= WORTH
 
 
-def _deaf(judge: "Judge", decision: Decision, best: Scored) -> bool:
+def _deaf(investigation: Investigation, decision: Decision, best: Scored, noise: Mapping[str, float]) -> bool:
     """Return whether a candidate gains by passing on less of the measured inputs' noise, not by knowing the car.
 
     Soft tyres that lag, and a time shift that takes the lag back, smooth what drives a slow car.
     """
-    investigation, after = judge.investigation, judge.investigation.noise_cost(best.found)
-    before = {**investigation.floor, **investigation.noise_cost(decision.found)}
     had, left = (
-        sum(excesses(investigation, {stage: cost[stage] for stage in after}).values())
+        sum(excesses(investigation, {stage: cost[stage] for stage in best.found.cost}).values())
         for cost in ({**investigation.base.cost, **decision.found.cost}, best.found.cost)
     )
-    return sum(before[stage] - after[stage] for stage in after) > DEAF * (had - left)
+    return sum(decision.noise[stage] - noise[stage] for stage in noise) > DEAF * (had - left)
 
 
 def _within(on_progress: Callable[[str, float], None], number: int) -> Callable[[str, float], None]:
@@ -194,7 +199,7 @@ def _settled(investigation: Investigation, decision: Decision) -> Decision:
     """Identify everything again in all stages; take out effects whose interval then holds the value of no effect."""
     while True:
         found = investigation.everywhere(decision.found)
-        ranges = intervals(investigation, found)
+        ranges = intervals(found, investigation.deviations(found))
         idle = [name for name in decision.chosen if _idle(name, ranges)]
         if not idle:
             return replace(decision, found=found)
@@ -210,14 +215,14 @@ def _idle(name: str, ranges: Mapping[str, tuple[float, float, float]]) -> bool:
     return low <= zero <= high
 
 
-def intervals(investigation: Investigation, found: Found) -> dict[str, tuple[float, float, float]]:
-    """Return each fitted parameter's value and 95 % interval, inside the physical bounds.
+def intervals(found: Found, deviations: Mapping[str, float]) -> dict[str, tuple[float, float, float]]:
+    """Return each fitted parameter's value and 95 % interval, inside the physical bounds, from its deviation.
 
     An effect's parameters are known no better than its form is: the car's effect may have another.
     """
     bounds = {unknown.name: (unknown.low, unknown.high) for unknown in found.problem.unknowns}
     ranges = {}
-    for name, deviation in investigation.deviations(found).items():
+    for name, deviation in deviations.items():
         value, (low, high) = found.theta[name], bounds[name]
         half = 1.96 * math.hypot(deviation, _form(found.vehicle, name, value))
         ranges[name] = value, max(value - half, low), min(value + half, high)

@@ -38,6 +38,10 @@ class Unknowns:
         """Return a start drawn around the prior's mean, `spread` deviations wide."""
         return self.clip(self.start + spread * self.sigma * generator.standard_normal(len(self.names)))
 
+    def draw_within(self, generator: np.random.Generator) -> Array:
+        """Return a start drawn evenly from within one deviation of the prior's mean."""
+        return self.clip(self.start + self.sigma * generator.uniform(-1.0, 1.0, len(self.names)))
+
 
 def choose_unknowns(vehicle: Vehicle, priors: Mapping[str, Any], hold: Sequence[str], configured: Vehicle) -> Unknowns:
     """Return the parameters of `vehicle` that `priors` frees and `hold` does not take back.

@@ -324,7 +324,7 @@ def test_an_effect_is_known_no_better_than_its_form(name, values, key, deviation
     parameter, value = f"effects.{name}.{key}", values[key]
     unknowns = [Unknown(parameter, 0.0, 1.0, -100.0, 100.0)]
     found = SimpleNamespace(vehicle=vehicle, theta={parameter: value}, problem=SimpleNamespace(unknowns=unknowns))
-    _, low, high = intervals(SimpleNamespace(deviations=lambda found: {parameter: 0.0}), found)[parameter]
+    _, low, high = intervals(found, {parameter: 0.0})[parameter]
     assert 0.5 * (high - low) == pytest.approx(1.96 * deviation) and 0.5 * (low + high) == pytest.approx(value)
 
 
@@ -337,12 +337,9 @@ def test_a_gain_that_is_noise_passed_on_no_longer_is_none(monkeypatch, noise, de
         name: {"chassis": np.array([total])} for name, total in (("base", 1100.0), ("now", 1100.0), ("best", 990.0))
     }
     found = {name: SimpleNamespace(cost=cost) for name, cost in costs.items()}
-    left = {id(found["now"]): 1000.0, id(found["best"]): noise}
-    investigation = SimpleNamespace(
-        base=found["base"], floor={"chassis": 1000.0}, noise_cost=lambda fit: {"chassis": left[id(fit)]}
-    )
-    judge, decision = SimpleNamespace(investigation=investigation), SimpleNamespace(found=found["now"])
-    assert _deaf(judge, decision, SimpleNamespace(found=found["best"])) == deaf
+    investigation = SimpleNamespace(base=found["base"])
+    decision = SimpleNamespace(found=found["now"], noise={"chassis": 1000.0})
+    assert _deaf(investigation, decision, SimpleNamespace(found=found["best"]), {"chassis": noise}) == deaf
 
 
 def test_a_rear_driven_split_is_no_idle_effect():
