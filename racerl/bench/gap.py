@@ -2,7 +2,8 @@
 
 `blind` is a folder with logs/*.parquet and keys.json, case → {effects: [{name, size, parameters, units}], set,
 programme, noise}; `python -m tests.gap.plant` writes one from the project's independent plant. Every case has a
-diagnosis in `work`, where an interrupted benchmark goes on.
+diagnosis in `work`, where an interrupted benchmark goes on. With `withhold`, what a case hides is left out of the
+catalogue: then `unknown` is right, or what the catalogue says the truth is confused with.
 """
 
 import math
@@ -18,8 +19,10 @@ from racerl.documents import read_json
 from racerl.errors import ConfigError
 from racerl.gap.diagnose import VERDICT, gap
 from racerl.run import MANIFEST, is_complete
+from racerl.vehicle.catalogue import confused_with
 
 NAMED = ("named", "multiple")
+WITHHELD = "withheld"  # the set of cases whose truth the catalogue lacks
 
 
 @dataclass(frozen=True)
@@ -30,6 +33,7 @@ class Gap:
     work: str
     vehicle: str
     most: int
+    withhold: bool
 
     def measure(self, compose: Compose, threads: int, on_progress: Progress) -> dict[str, Any]:
         """Return scores with 95 % intervals, the confusion matrix, and every case's outcome."""
@@ -43,10 +47,12 @@ class Gap:
         rows = []
         for i, log in enumerate(logs):
             on_progress(i / len(logs), f"case {i + 1} of {len(logs)}")
+            key, out = keys[log.stem], Path(self.work) / log.stem
             words = [f"logs=['{log}']", f"vehicle={self.vehicle}", f"threads={threads}"]
-            rows.append(
-                outcome(log.stem, keys[log.stem], *_diagnosis(compose("gap", words), Path(self.work) / log.stem))
-            )
+            if self.withhold:
+                key, out = {**key, "set": WITHHELD}, out.with_name(f"{out.name}_{WITHHELD}")
+                words.append(f"without={[effect['name'] for effect in key['effects']]}")
+            rows.append(outcome(log.stem, key, *_diagnosis(compose("gap", words), out)))
         return {
             "gap": {
                 "cases": rows,
@@ -110,6 +116,13 @@ def contained(row: dict[str, Any]) -> bool:
     return set(row["truth"]) <= {*row["found"], *row["rivals"]}
 
 
+def abstained(row: dict[str, Any]) -> bool:
+    """Return whether no more is claimed of a truth that the catalogue lacks than what it is confused with."""
+    said = {*row["found"], *row["rivals"]}
+    known = frozenset().union(*map(confused_with, row["truth"]))
+    return row["verdict"] == "unknown" or (bool(said) and said <= known)
+
+
 def wrong_name(row: dict[str, Any]) -> bool:
     """Return whether a single name is claimed that was not hidden."""
     return row["verdict"] == "named" and row["found"][0] not in row["truth"]
@@ -125,9 +138,10 @@ def scores(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "right name, where the data are declared to tell": ([row for row in single if row["separable"]], right),
         "right name, race laps": ([row for row in single if row["programme"] == "race"], right),
         "truth in the reported set": (single, contained),
-        "wrong single name": (rows, wrong_name),
+        "wrong single name": ([row for row in rows if row["set"] != WITHHELD], wrong_name),
         "false alarm on clean logs": ([row for row in rows if row["set"] == "clean"], lambda row: not right(row)),
         "unknown, effects of no catalogue": (_of(rows, "unlisted"), lambda row: row["verdict"] == "unknown"),
+        "unknown or what it is confused with, truth withheld": (_of(rows, WITHHELD), abstained),
         "both of two effects": (_of(rows, "pairs"), right),
         "no name on poor logs": (_of(rows, "poor"), lambda row: row["verdict"] not in NAMED or right(row)),
         "no single name on two-track cars": (_of(rows, "structure"), lambda row: not wrong_name(row)),
@@ -179,6 +193,8 @@ def by_verdict(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
 
 def deserved(row: dict[str, Any]) -> bool:
     """Return whether a verdict is true: the right name, the truth among rivals, no name where there is none."""
+    if row["set"] == WITHHELD:
+        return abstained(row)
     if row["verdict"] == "ambiguous":
         return contained(row) and bool(row["truth"])
     if row["verdict"] == "unknown":
@@ -199,11 +215,11 @@ def share(count: int, total: int) -> dict[str, Any]:
 def confusion(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, int]]:
     """Return how often each hidden effect was called what; a verdict without a name goes by the verdict's own.
 
-    Logs too poor to show anything, and those of two-track cars, have rows of their own among the scores.
+    Logs too poor to show anything, those of two-track cars and withheld truths have rows of their own among the scores.
     """
     table: dict[str, Counter[str]] = {}
     for row in rows:
-        if len(row["truth"]) <= 1 and row["set"] not in ("poor", "structure"):
+        if len(row["truth"]) <= 1 and row["set"] not in ("poor", "structure", WITHHELD):
             said = " + ".join(sorted(row["found"])) if row["verdict"] in NAMED else row["verdict"]
             table.setdefault(row["truth"][0] if row["truth"] else row["set"], Counter())[said] += 1
     return {name: dict(counts) for name, counts in sorted(table.items())}

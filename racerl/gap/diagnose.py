@@ -212,7 +212,6 @@ def _once(path: Path, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
 
 def _named(decision: Decision, verdict: Verdict, ranges: Mapping[str, tuple[float, float, float]]) -> dict[str, Any]:
     units = {name: unit.unit for name, unit in specifications(decision.found.vehicle).items()}
-    shares = {row[0].name: row[0].worth for row in decision.rounds if row}
     return {
         "effects": [
             {
@@ -222,9 +221,9 @@ def _named(decision: Decision, verdict: Verdict, ranges: Mapping[str, tuple[floa
                     for key, (value, low, high) in ranges.items()
                     if key.startswith(f"effects.{name}.")
                 },
-                "explained": float(np.clip(shares.get(name, 0.0), 0.0, 1.0)),
+                "explained": float(np.clip(rows[0].worth, 0.0, 1.0)),
             }
-            for name in decision.chosen
+            for name, rows in decision.kept.items()
         ],
         "ranking": [
             {"name": row.name, "heldout_gain": row.gain, "p": row.p, "explained": row.explained, "behind": row.behind}

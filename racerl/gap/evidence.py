@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from scipy.signal import savgol_coeffs, savgol_filter
+from scipy.special import comb
 
 from racerl.data.differentiate import velocities
 from racerl.data.inspect import pose_lag
@@ -23,6 +24,7 @@ SMOOTH = (33, 17, 9, 5)  # samples of the quadratic Savitzky–Golay filters tha
 STEEP = 2  # samples more for their slopes
 QUIET, PART = 2.0, 50  # most mean square over so many samples, in that of the noise, that smoothing may take away
 LOCAL, ORDER = 11, 4  # samples and order of the local polynomials that tell noise from motion
+TOP, WHITE = 6, 0.9  # order of the differences that show noise near the Nyquist frequency; its least share if white
 COMMANDS = ("delta_ref", "omega_ref")
 INSTEAD = {"delta": "delta_ref", "omega": "omega_ref"}  # where an actuator that was not measured may be
 FILTERS = [(window, order) for order in (2, 3) for window in range(5, 42, 2)]  # that velocities may have been made by
@@ -172,6 +174,13 @@ class Evidence:
         """Return the standard deviation of each output's noise, (C,): what local polynomials do not follow."""
         return self.noise_of(self.observed)
 
+    @property
+    def filtered(self) -> bool:
+        """Whether most outputs were filtered before they were logged: noise that is not white is larger than shown."""
+        longest = np.argmax(self.last - self.first)
+        run = slice(self.first[longest], self.last[longest] + 1)
+        return float(np.median([_whiteness(self.columns[name][run]) for name in self.observed])) < WHITE
+
     def with_noisy_inputs(self, generator: np.random.Generator) -> "Evidence":
         """Return the evidence with as much noise again on every measured input; commands are known."""
         columns = dict(self.columns)
@@ -224,6 +233,12 @@ def _quiet(lost: Array, noise: float) -> bool:
     """Return whether what smoothing took away is noise throughout."""
     parts = lost[: len(lost) // PART * PART].reshape(-1, PART)
     return bool(((parts**2).mean(axis=1) < QUIET * noise**2).all())
+
+
+def _whiteness(column: Array) -> float:
+    """Return a channel's noise near the Nyquist frequency in that of all that is fast: one if it is white."""
+    top = np.diff(column, TOP) / np.sqrt(comb(2 * TOP, TOP))
+    return 1.4826 * float(np.median(np.abs(top))) / max(_spread(column), 1e-12) if len(top) else 0.0
 
 
 def _spread(column: Array) -> float:

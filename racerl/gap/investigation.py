@@ -240,13 +240,13 @@ class Investigation:
                 found.append(name)
         return found
 
-    def screen(self, base: Found, name: str) -> Screened | None:
+    def screen(self, base: Found, name: str, fitted: Sequence[Effect] = ()) -> Screened | None:
         """Add an effect to a fitted vehicle: a few steps from each of its usual sizes, on a share of the windows.
 
-        Where the fit is astray, all parameters but the effects' start as configured, too. Return the best; None where
-        no stage shows the effect.
+        It starts as it was `fitted` beside fewer effects, too. Where the fit is astray, all parameters but the effects'
+        start as configured, too. Return the best; None where no stage shows the effect.
         """
-        likely = [with_effect(base.vehicle, name, effect) for effect in self._likely(base, name)]
+        likely = [with_effect(base.vehicle, name, effect) for effect in (*self._likely(base, name), *fitted)]
         if name == COG:
             likely = [replace_values(vehicle, {"l_f": self.vehicle.l_f}) for vehicle in likely]
         stages = self.touched(likely[0], frozenset([name])) if likely else []

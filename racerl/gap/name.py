@@ -1,7 +1,8 @@
 """Naming the missing effect: score the catalogue, refit the shortlist, decide on stretches that no fit has seen.
 
 Round by round the effect that helps most on held-out windows is added, until none helps significantly; then every one
-that is no longer needed beside the others is taken out again.
+is judged again beside those found after it: what is no longer needed is taken out, and a rival that now explains more
+takes its place.
 """
 
 import math
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from racerl.gap.catalogue import PLACE, neutral, placed
-from racerl.gap.investigation import Found, Investigation, Screened
+from racerl.gap.investigation import Found, Investigation, Screened, with_effect
 from racerl.gap.score import Score, summed
 from racerl.vehicle import catalogue
 from racerl.vehicle.vehicle import Vehicle
@@ -21,6 +22,7 @@ Array = NDArray[np.float64]
 SHORTLIST, CONTINUED = 8, 4  # candidates of each stage that are screened, and fitted to the end
 FAINT = 0.15  # of the most gain in screening, below which a candidate is given up
 FORETOLD, FIRST = 0.5, 2  # of the most first-order gain, above which so many are fitted whatever screening says
+CARRIED = 3  # times that the fit of what was chosen is carried on, unless it is at its end before
 CLOSE = 0.5  # of the most gain, above which a candidate's fit is carried on to its end
 LOST = 5.0  # times the noise's cost, beyond which a fit says nothing of what is missing
 HOPELESS = 30.0  # first-order gain, a χ², below which no effect is worth a fit
@@ -29,12 +31,16 @@ RESAMPLES = 2000
 OUTER = 0.02  # share of the blocks on each side that count no more than their neighbours
 CLEAR = 3.0  # standard errors by which a gain must differ from zero
 SAME = 2.0  # standard errors within which candidates explain alike
+ALIKE = 3.0  # standard errors that a rival may be behind
+EQUAL = 0.05  # share of the excess that a rival may explain less
 PARAMETER = 0.01  # share of the excess that one more parameter must explain
 WILD, TYPICAL = 30.0, 10.0  # mean squared deviation of a wild window, and its cost in median ones
 FORM = 0.05  # deviation, as a share, between the parameters of an effect's forms where it has many (development logs)
 EXACT = 0.01  # the same, where it has one
 DEAF = 0.5  # share of a gain that may be noise of measured inputs that is passed on no longer
 WORTH = 0.04  # share of the first excess, and of what is left of it before the round, that an effect must explain
+REAL = 0.05  # excess cost over the noise's that is real: the noise itself is known to a few percent
+ALL = 0.85  # share of a real excess that no wrong form of an earlier effect explains (development logs)
 
 
 @dataclass(frozen=True)
@@ -43,7 +49,8 @@ class Scored:
 
     `gain` is in squared deviations, robust against wild windows, `error` its standard error over blocks of windows;
     `explained` the share that it takes of the excess in the stages that it touches, `worth` of the first one there;
-    `behind` is how much the round's best one gains beyond it, in standard errors of the difference.
+    `before` is that excess where it is largest, over the noise's cost; `behind` is how much the round's best one gains
+    beyond it, in standard errors of the difference.
     """
 
     name: str
@@ -54,6 +61,7 @@ class Scored:
     p: float
     explained: float
     worth: float
+    before: float
     behind: float = 0.0
 
     @property
@@ -66,18 +74,29 @@ class Scored:
         """Whether the gain differs from zero."""
         return self.gain > CLEAR * self.error
 
+    @property
+    def wanted(self) -> bool:
+        """Whether the effect is needed: a small one beside a large one has to explain all that the large one leaves."""
+        small = self.explained > ALL and self.before > REAL
+        return self.clear and self.explained >= WORTH and (self.worth >= WORTH or small)
+
 
 @dataclass
 class Decision:
     """What naming came to: effects in the order found, every round's candidates, best first."""
 
-    chosen: list[str]
+    kept: dict[str, list[Scored]]  # every effect, and its rivals, beside the others
     found: Found
     cost: dict[str, Array]  # of held-out windows
-    noise: dict[str, float]  # cost that the sensors' noise alone would leave
+    noise: dict[str, float]  # cost that the sensors' noise alone would leave, the least by any fit so far
     score: Score  # of the refitted vehicle without effects
     rounds: list[list[Scored]] = field(default_factory=list)
     excess: list[float] = field(default_factory=list)  # of the cost over the noise, before each round and at the end
+
+    @property
+    def chosen(self) -> list[str]:
+        """The effects."""
+        return list(self.kept)
 
 
 def name_effects(
@@ -88,41 +107,46 @@ def name_effects(
     cost = investigation.held_out(base)
     judge = Judge(investigation, np.random.default_rng(seed), cost)
     scores = investigation.scores(base)
-    decision = Decision(
-        [], base, cost, investigation.floor, summed(scores.values()), excess=[excess(investigation, cost)]
-    )
+    decision = Decision({}, base, cost, dict(investigation.floor), summed(scores.values()))
+    decision.excess.append(excess(investigation, cost, decision.noise))
     for number in range(ROUNDS):
         if number:
             scores = investigation.scores(decision.found)
         scored = _round(judge, decision, scores, _within(on_progress, number))
-        noise = decision.noise
-        while scored and _wanted(scored[0]):
-            noise = {**decision.noise, **investigation.noise_cost(scored[0].found)}
-            if not _deaf(investigation, decision, scored[0], noise):
-                break
+        while scored and scored[0].wanted and _deaf(investigation, decision, scored[0].found):
             scored = judge.ranked(scored[1:], decision.cost)
         decision.rounds.append(scored)
-        if not scored or not _wanted(scored[0]):
+        if not scored or not scored[0].wanted:
             break
-        best = scored[0]
-        decision.chosen.append(best.name)
-        decision.found, decision.cost, decision.noise = best.found, {**decision.cost, **best.cost}, noise
-        decision.excess.append(excess(investigation, decision.cost))
-    return _settled(investigation, _without_needless(judge, decision))
+        decision = _with(investigation, decision, scored)
+    return _settled(investigation, _reviewed(judge, decision))
 
 
-def _wanted(best: Scored) -> bool:
-    return best.clear and min(best.explained, best.worth) >= WORTH
+def _with(investigation: Investigation, decision: Decision, scored: list[Scored]) -> Decision:
+    """Return the decision with the best candidate of a round, its fit carried on: else any other gains by doing so."""
+    found = scored[0].found
+    for _ in range(CARRIED):
+        found = investigation.converged(found)
+    cost = {**decision.cost, **investigation.held_out(found)}
+    noise = _least(decision.noise, investigation.noise_cost(found))
+    decision.excess.append(excess(investigation, cost, noise))
+    return replace(decision, kept={**decision.kept, scored[0].name: scored}, found=found, cost=cost, noise=noise)
 
 
-def _deaf(investigation: Investigation, decision: Decision, best: Scored, noise: Mapping[str, float]) -> bool:
+def _least(noise: Mapping[str, float], other: Mapping[str, float]) -> dict[str, float]:
+    """Return the least of two costs of noise per stage: a vehicle that is far off passes on too much of it."""
+    return {stage: min(cost, other.get(stage, cost)) for stage, cost in noise.items()}
+
+
+def _deaf(investigation: Investigation, decision: Decision, best: Found) -> bool:
     """Return whether a candidate gains by passing on less of the measured inputs' noise, not by knowing the car.
 
     Soft tyres that lag, and a time shift that takes the lag back, smooth what drives a slow car.
     """
+    noise = investigation.noise_cost(best)
     had, left = (
-        sum(excesses(investigation, {stage: cost[stage] for stage in best.found.cost}).values())
-        for cost in ({**investigation.base.cost, **decision.found.cost}, best.found.cost)
+        sum(excesses(investigation, {stage: cost[stage] for stage in best.cost}, decision.noise).values())
+        for cost in ({**investigation.base.cost, **decision.found.cost}, best.cost)
     )
     return sum(decision.noise[stage] - noise[stage] for stage in noise) > DEAF * (had - left)
 
@@ -140,14 +164,18 @@ def _round(
     tried, shortlist = [], _shortlist(scores, lost)
     for i, name in enumerate(shortlist):
         on_progress(name, i / len(shortlist))
-        tried.append(investigation.screen(current, name))
+        fitted = [row.found.vehicle.effects[name] for rows in decision.rounds for row in rows if row.name == name]
+        tried.append(investigation.screen(current, name, fitted))
     shown = [each for each in tried if each is not None]
     hopeful = {each.name: each for name, score in scores.items() for each in _hopeful(shown, score, name)}
-    scored = [judge.score(name, investigation.add(current, each), decision.cost) for name, each in hopeful.items()]
+    scored = [
+        judge.score(name, investigation.add(current, each), decision.cost, decision.noise)
+        for name, each in hopeful.items()
+    ]
     most = max((row.gain for row in scored), default=0.0)
     near = [row.gain > max(CLOSE * most, row.error) for row in scored]
     scored = [
-        judge.score(row.name, investigation.converged(row.found), decision.cost) if close else row
+        judge.score(row.name, investigation.converged(row.found), decision.cost, decision.noise) if close else row
         for row, close in zip(scored, near, strict=True)
     ]
     return judge.ranked(scored, decision.cost)
@@ -176,23 +204,55 @@ def _hopeful(tried: Sequence[Screened], score: Score, stage: str) -> list[Screen
     mine.sort(key=lambda each: -each.gain)
     found = [each for each in mine[:CONTINUED] if each.gain > FAINT * mine[0].gain]
     gains = score.gains()
-    most = max(HOPELESS, *gains.values())
+    most = max([HOPELESS, *gains.values()])
     foretold = [each for each in tried if gains.get(each.name, 0.0) > FORETOLD * most]
     foretold.sort(key=lambda each: -gains[each.name])
     return [*found, *foretold[:FIRST]]
 
 
-def _without_needless(judge: "Judge", decision: Decision) -> Decision:
-    """Take out effects that the others made needless."""
+def _reviewed(judge: "Judge", decision: Decision) -> Decision:
+    """Judge every effect again beside those found after it, and its rivals in its place."""
+    investigation = judge.investigation
     for name in decision.chosen[:-1]:
-        others = [other for other in decision.chosen if other != name]
-        less = judge.investigation.without(decision.found, name)
-        cost = {**decision.cost, **judge.investigation.held_out(less)}
-        scored = judge.score(name, decision.found, cost)
-        if not scored.clear or scored.worth < WORTH:
-            decision = replace(decision, chosen=others, found=less, cost=cost)
-            decision.excess.append(excess(judge.investigation, cost))
+        less = investigation.without(decision.found, name)
+        without = replace(decision, found=less, cost={**decision.cost, **investigation.held_out(less)})
+        rows = [judge.score(name, decision.found, without.cost, without.noise)]
+        if not rows[0].wanted:
+            kept = {key: row for key, row in decision.kept.items() if key != name}
+            decision = replace(without, kept=kept)
+            decision.excess.append(excess(investigation, decision.cost, decision.noise))
+            continue
+        rivals = [row for row in equals(decision.kept[name]) if row.name not in decision.kept]
+        rows = judge.ranked([*rows, *(_instead(judge, without, rival) for rival in rivals)], without.cost)
+        kept = {
+            rows[0].name if key == name else key: rows if key == name else row for key, row in decision.kept.items()
+        }
+        decision = replace(decision, kept=kept)
+        if rows[0].name != name:
+            decision = replace(decision, found=rows[0].found, cost={**without.cost, **rows[0].cost})
+            decision.excess.append(excess(investigation, decision.cost, decision.noise))
     return decision
+
+
+def _instead(judge: "Judge", without: Decision, rival: Scored) -> Scored:
+    """Return a rival of an effect, fitted and judged beside all others."""
+    vehicle = with_effect(without.found.vehicle, rival.name, rival.found.vehicle.effects[rival.name])
+    found = judge.investigation.add(without.found, Screened(rival.name, vehicle, rival.gain, ""))
+    return judge.score(rival.name, judge.investigation.converged(found), without.cost, without.noise)
+
+
+def equals(rows: Sequence[Scored]) -> list[Scored]:
+    """Return the candidates that explain the data as well as the best.
+
+    More parameters have to explain more, or to foresee held-out windows better.
+    """
+    best = rows[0]
+
+    def equal(other: Scored) -> bool:
+        slack = EQUAL if other.size <= best.size or other.behind < 0.0 else 0.0
+        return other.explained - PARAMETER * other.size > best.explained - PARAMETER * best.size - slack
+
+    return [other for other in rows[1:] if other.clear and other.behind < ALIKE and equal(other)]
 
 
 def _settled(investigation: Investigation, decision: Decision) -> Decision:
@@ -203,8 +263,8 @@ def _settled(investigation: Investigation, decision: Decision) -> Decision:
         idle = [name for name in decision.chosen if _idle(name, ranges)]
         if not idle:
             return replace(decision, found=found)
-        others = [name for name in decision.chosen if name != idle[0]]
-        decision = replace(decision, chosen=others, found=investigation.without(found, idle[0]))
+        kept = {name: rows for name, rows in decision.kept.items() if name != idle[0]}
+        decision = replace(decision, kept=kept, found=investigation.without(found, idle[0]))
 
 
 def _idle(name: str, ranges: Mapping[str, tuple[float, float, float]]) -> bool:
@@ -245,17 +305,14 @@ def _form(vehicle: Vehicle, parameter: str, value: float) -> float:
     return (EXACT if effect.exact else FORM) * abs(size)
 
 
-def excess(investigation: Investigation, cost: Mapping[str, Array]) -> float:
+def excess(investigation: Investigation, cost: Mapping[str, Array], noise: Mapping[str, float]) -> float:
     """Return the cost beyond what the sensors' noise alone would leave; wild windows count up to a limit."""
-    return sum(max(0.0, part) for part in excesses(investigation, cost).values())
+    return sum(max(0.0, part) for part in excesses(investigation, cost, noise).values())
 
 
-def excesses(investigation: Investigation, cost: Mapping[str, Array]) -> dict[str, float]:
+def excesses(investigation: Investigation, cost: Mapping[str, Array], noise: Mapping[str, float]) -> dict[str, float]:
     """Return the excess of every stage; below zero where the noise is known too badly."""
-    return {
-        name: float(np.minimum(part, wild(investigation, name)).sum()) - investigation.floor[name]
-        for name, part in cost.items()
-    }
+    return {name: float(np.minimum(part, wild(investigation, name)).sum()) - noise[name] for name, part in cost.items()}
 
 
 def wild(investigation: Investigation, stage: str, cost: Array | None = None) -> float:
@@ -279,17 +336,20 @@ class Judge:
     generator: np.random.Generator
     first: Mapping[str, Array]  # costs without any effect
 
-    def score(self, name: str, found: Found, before: Mapping[str, Array]) -> Scored:
-        """Return a candidate's gain against the costs before it."""
+    def score(self, name: str, found: Found, before: Mapping[str, Array], noise: Mapping[str, float]) -> Scored:
+        """Return what a fit with an effect more gains upon the costs before it, of which noise has its share."""
         cost = self.investigation.held_out(found)
         gain, error = self.gain(before, cost)
         stages = self.investigation.touched(found.vehicle, frozenset([name]))
-        least = 0.001 * sum(self.investigation.floor[stage] for stage in stages)  # so small an excess is noise itself
-        had, left, first = (
-            excess(self.investigation, {stage: part[stage] for stage in stages}) for part in (before, cost, self.first)
-        )
+        parts = [
+            excesses(self.investigation, {stage: part[stage] for stage in stages}, noise)
+            for part in (before, cost, self.first)
+        ]
+        had, left, first = (sum(max(0.0, each) for each in part.values()) for part in parts)
+        least = 0.001 * sum(noise[stage] for stage in stages)  # so small an excess is noise itself
         share, worth = (had - left) / max(had, least), (had - left) / max(first, least)
-        return Scored(name, found, cost, gain, error, self.chance(before, cost), share, worth)
+        most = max(part / noise[stage] for stage, part in parts[0].items())
+        return Scored(name, found, cost, gain, error, self.chance(before, cost), share, worth, most)
 
     def ranked(self, scored: Sequence[Scored], before: Mapping[str, Array]) -> list[Scored]:
         """Return candidates, best first: by their gains, but of those alike the one that explains most first."""

@@ -43,12 +43,14 @@ def learn(investigation: Investigation, seed: int) -> tuple[dict[str, Any], Foun
     knowing = investigation.knowing({TERMS: [terms]})
     judge = Judge(knowing, np.random.default_rng(seed), knowing.held_out(base))
     knowing, found = sparse(knowing, _with(knowing, base, TERMS, terms))
-    scored = replace(judge, investigation=knowing).score(TERMS, found, judge.first)
+    scored = replace(judge, investigation=knowing).score(TERMS, found, judge.first, knowing.floor)
     steps = [_step(judge, scored, found, scored.clear)]
     if scored.clear:
         knowing = knowing.knowing({TERMS: [terms], NETWORK: [network]})
         more = _with(knowing, found, NETWORK, network)
-        scored = replace(judge, investigation=knowing).score(NETWORK, more, {**judge.first, **scored.cost})
+        scored = replace(judge, investigation=knowing).score(
+            NETWORK, more, {**judge.first, **scored.cost}, knowing.floor
+        )
         kept = scored.clear and scored.worth > WORTH
         steps.append(_step(judge, scored, more, kept))
         found = more if kept else found
@@ -91,7 +93,8 @@ def _with(investigation: Investigation, base: Found, name: str, effect: Effect) 
 
 def _step(judge: Judge, scored: Scored, found: Found, kept: bool) -> dict[str, Any]:
     """Return what was learned in a step, and the share of the first excess that is gone after it."""
-    first, left = (excess(judge.investigation, cost) for cost in (judge.first, {**judge.first, **scored.cost}))
+    costs, noise = (judge.first, {**judge.first, **scored.cost}), judge.investigation.floor
+    first, left = (excess(judge.investigation, cost, noise) for cost in costs)
     return {
         "name": scored.name,
         "kept": kept,

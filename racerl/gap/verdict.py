@@ -16,16 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from racerl.gap.investigation import Investigation
-from racerl.gap.name import PARAMETER, Decision, Scored, excesses
+from racerl.gap.name import REAL, Decision, equals, excesses
 from racerl.gap.score import Score
 
-REAL = 0.05  # excess cost over the noise's that is real: the noise itself is known to a few percent
 CHANCE = 5.0  # deviations of the noise's own cost, a χ², below which an excess may be chance
 LEFT = 0.25  # share of the first excess that may stay behind when the name is right
 CREDIBLE = 0.6  # share of the excess that a name must explain
-COARSE = 30.0  # excess over the noise's cost, beyond which noise is no yardstick: a real car, smoothed sensors
-ALIKE = 3.0  # standard errors that a rival may be behind
-EQUAL = 0.05  # share of the excess that a rival may explain less
+COARSE = 30.0  # excess over the noise's cost, beyond which that of filtered sensors is no yardstick
 SHOWS = 30.0  # first-order gain, a χ², at its usual size that makes an effect show
 TWINS = 0.95  # |cosine| above which a linear test cannot tell two effects apart
 MOST = 0.5  # share of the catalogue that a log must be able to show
@@ -46,7 +43,7 @@ def judge(investigation: Investigation, decision: Decision) -> Verdict:
     """Return the verdict."""
     blind = hidden(decision.score)
     effects = tuple(decision.chosen)
-    rivals = tuple(name for row in _rounds(decision) for name in equals(row) if name not in effects)
+    rivals = tuple(row.name for rows in decision.kept.values() for row in equals(rows) if row.name not in effects)
     before, after = fitted(investigation, decision)
     stage, left, first = open_stage(investigation, decision, before, after)
     if not effects:
@@ -63,8 +60,7 @@ def judge(investigation: Investigation, decision: Decision) -> Verdict:
     touched = investigation.touched(decision.found.vehicle, frozenset(effects))  # elsewhere an excess is chance
     total, rest = (sum(max(0.0, parts[stage]) for stage in touched) for parts in (before, after))
     share = 1.0 - rest / max(total, 1e-9)
-    coarse = rest > COARSE * sum(investigation.floor.values())
-    if not coarse and share < CREDIBLE:
+    if share < CREDIBLE and not any(_coarse(investigation, decision, stage, after[stage]) for stage in touched):
         reason = f"{' and '.join(effects)} helps, but explains only {share:.0%} of a small excess"
         return Verdict("under_excited", (), (), blind, reason)
     explained = f"{' and '.join(effects)} explains {share:.0%} of the excess"
@@ -78,13 +74,19 @@ def open_stage(
 ) -> tuple[str, float, float]:
     """Return the stage whose excess is real and not explained, with that and its first one, over the noise's cost."""
     worst = ("", 0.0, 0.0)
-    for name, noise in investigation.floor.items():
+    for name, noise in decision.noise.items():
         left, first = after[name] / noise, before[name] / noise
-        coarse = decision.chosen and left > COARSE
         real = max(REAL, CHANCE * np.sqrt(2.0 / counted(investigation, name)))
-        if left > real and left > LEFT * first and not coarse and left > worst[1]:
+        if decision.chosen and _coarse(investigation, decision, name, after[name]):
+            continue
+        if left > real and left > LEFT * first and left > worst[1]:
             worst = (name, left, first)
     return worst
+
+
+def _coarse(investigation: Investigation, decision: Decision, stage: str, left: float) -> bool:
+    """Return whether what is left in a stage cannot be measured in noise: real cars, sensors that were filtered."""
+    return investigation.evidence[stage].filtered and left > COARSE * decision.noise[stage]
 
 
 def counted(investigation: Investigation, stage: str) -> int:
@@ -99,26 +101,9 @@ def fitted(investigation: Investigation, decision: Decision) -> tuple[dict[str, 
     On short logs, parameters that a fold knows badly look like an excess on held-out windows.
     """
     base = investigation.base.cost
-    return excesses(investigation, base), excesses(investigation, {**base, **decision.found.cost})
-
-
-def _rounds(decision: Decision) -> list[list[Scored]]:
-    """Return the rounds whose best effect was kept."""
-    return [row for row in decision.rounds if row and row[0].name in decision.chosen]
-
-
-def equals(row: list[Scored]) -> list[str]:
-    """Return the candidates of a round that explain the data as well as its best.
-
-    More parameters have to explain more, or to foresee held-out windows better.
-    """
-    best = row[0]
-
-    def equal(other: Scored) -> bool:
-        slack = EQUAL if other.size <= best.size or other.behind < 0.0 else 0.0
-        return other.explained - PARAMETER * other.size > best.explained - PARAMETER * best.size - slack
-
-    return [other.name for other in row[1:] if other.clear and other.behind < ALIKE and equal(other)]
+    costs = base, {**base, **decision.found.cost}
+    before, after = (excesses(investigation, cost, decision.noise) for cost in costs)
+    return before, after
 
 
 def hidden(score: Score) -> tuple[str, ...]:

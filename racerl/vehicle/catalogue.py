@@ -1,6 +1,7 @@
 """What is known of every effect: its module's docstring, told apart, and its parameters."""
 
 import inspect
+import re
 import sys
 from dataclasses import dataclass, fields
 
@@ -41,3 +42,12 @@ def entry(name: str) -> Entry:
             aspects[list(aspects)[-1]] += f" {line.strip()}"
     parameters = {field.name: field.metadata["parameter"] for field in fields(cls)}
     return Entry(name, cls, title, aspects, parameters)
+
+
+def confused_with(name: str) -> frozenset[str]:
+    """Return the effects that the docstring of one names as confused with it, or whose docstrings name it so."""
+    return frozenset(other for other in names() if other in _named_by(name) or name in _named_by(other))
+
+
+def _named_by(name: str) -> set[str]:
+    return set(re.findall(r"[a-z_]+", entry(name).aspects["Confused with"])) - {name}

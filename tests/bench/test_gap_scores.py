@@ -2,7 +2,7 @@
 
 import pytest
 
-from racerl.bench.gap import by_verdict, confusion, detection, outcome, right, scores, share, wrong_name
+from racerl.bench.gap import abstained, by_verdict, confusion, detection, outcome, right, scores, share, wrong_name
 
 
 def case(truth, verdict, found=(), rivals=(), kind="single", size="medium", programme="excitation", tells=("a",)):
@@ -69,6 +69,20 @@ def test_scores_count_what_was_said():
     trusted = {kind: (row["count"], row["of"]) for kind, row in by_verdict(rows).items()}
     assert trusted == {"ambiguous": (1, 2), "multiple": (1, 1), "named": (1, 2), "none": (1, 2), "unknown": (1, 1)}
     assert confusion(rows)["a"] == {"a": 1, "ambiguous": 1, "b": 1, "none": 1}
+
+
+def test_where_the_truth_is_withheld_only_what_it_is_confused_with_may_be_said():
+    def told(verdict, *said):
+        return case(["yaw_damping"], verdict, said[:1], said[1:], kind="withheld")
+
+    right = [told("unknown"), told("named", "locked_differential")]
+    wrong = [told("none"), told("named", "lever_arm"), told("ambiguous", "locked_differential", "lever_arm")]
+    assert [abstained(row) for row in right + wrong] == [True, True, False, False, False]
+    found = scores(right + wrong)
+    assert "wrong single name" not in found
+    row = found["unknown or what it is confused with, truth withheld"]
+    assert (row["count"], row["of"]) == (2, 5)
+    assert confusion(right + wrong) == {}
 
 
 def test_wilson_intervals():

@@ -16,13 +16,13 @@ from racerl.gap.evidence import Evidence, contradictory
 from racerl.gap.growth import growth, places
 from racerl.gap.investigation import Screened
 from racerl.gap.locate import _test
-from racerl.gap.name import EXACT, FORM, _deaf, _hopeful, _idle, intervals
+from racerl.gap.name import EXACT, FORM, Decision, _deaf, _hopeful, _idle, _least, _reviewed, equals, intervals
 from racerl.gap.plan import plan, telling
 from racerl.gap.problem import Unknown
 from racerl.gap.prove import explained
 from racerl.gap.score import Score
 from racerl.gap.stage import stages
-from racerl.gap.verdict import Verdict, equals, judge, separable
+from racerl.gap.verdict import Verdict, judge, separable
 from racerl.report.gap_page import draw_gap
 from racerl.vehicle import catalogue
 from racerl.vehicle.load import load_vehicle
@@ -281,7 +281,52 @@ def test_rivals_explain_as_much_for_their_parameters():
         row("larger", 1.0, 0.955, 3),
         row("larger and better", -0.5, 0.94, 3),
     ]
-    assert equals([best, *others]) == ["equal", "larger and better"]
+    assert [other.name for other in equals([best, *others])] == ["equal", "larger and better"]
+
+
+@pytest.mark.parametrize(
+    ("own", "rival", "chosen", "left"),
+    [
+        (0.95, 0.50, ["viscous_drag", "lever_arm"], []),  # alike at first, told apart once the other one is in
+        (0.95, 0.94, ["viscous_drag", "lever_arm"], ["aero_drag"]),
+        (0.80, 0.99, ["aero_drag", "lever_arm"], []),
+        (0.00, 0.99, ["lever_arm"], []),  # needless
+    ],
+)
+def test_effects_are_judged_again_beside_those_found_after_them(monkeypatch, own, rival, chosen, left):
+    monkeypatch.setattr("racerl.gap.name.excess", lambda *_: 0.0)
+    car = make_car("+vehicle/effect=[viscous_drag,aero_drag,lever_arm]")
+    shares = {"viscous_drag": own, "aero_drag": rival, "lever_arm": 0.9}
+
+    def row(name, explained):
+        behind = 10.0 * (max(shares.values()) - explained)
+        found = SimpleNamespace(name=name, vehicle=car, cost={"chassis": np.array([1.0 - explained])})
+        return SimpleNamespace(
+            name=name, found=found, cost=found.cost, gain=explained, explained=explained, behind=behind, size=1,
+            clear=True, wanted=explained > 0.04,
+        )  # fmt: skip
+
+    investigation = SimpleNamespace(
+        without=lambda found, name: found,
+        held_out=lambda found: found.cost,
+        add=lambda base, screened: SimpleNamespace(name=screened.name, vehicle=car, cost={}),
+        converged=lambda found: found,
+    )
+    judge = SimpleNamespace(
+        investigation=investigation,
+        score=lambda name, found, cost, noise: row(name, shares[name]),
+        ranked=lambda rows, cost: sorted(rows, key=lambda each: -each.explained),
+    )
+    first = {"viscous_drag": [row("viscous_drag", 0.78), row("aero_drag", 0.77)], "lever_arm": [row("lever_arm", 0.9)]}
+    noise = {"chassis": 1.0}
+    decision = _reviewed(judge, Decision(first, row("lever_arm", 0.9).found, {}, noise, None))
+    assert decision.chosen == chosen
+    assert [other.name for other in equals(decision.kept[chosen[0]])] == left
+
+
+def test_the_least_cost_of_noise_is_the_noise():
+    assert _least({"drive": 5.0, "chassis": 9.0}, {"chassis": 7.0}) == {"drive": 5.0, "chassis": 7.0}
+    assert _least({"drive": 5.0, "chassis": 9.0}, {"chassis": 11.0}) == {"drive": 5.0, "chassis": 9.0}
 
 
 def test_the_share_explained_stays_inside_its_bounds():
@@ -331,15 +376,15 @@ def test_an_effect_is_known_no_better_than_its_form(name, values, key, deviation
 @pytest.mark.parametrize(("noise", "deaf"), [(990.0, False), (960.0, False), (900.0, True)])
 def test_a_gain_that_is_noise_passed_on_no_longer_is_none(monkeypatch, noise, deaf):
     monkeypatch.setattr(
-        "racerl.gap.name.excesses", lambda investigation, cost: {"chassis": float(cost["chassis"].sum())}
+        "racerl.gap.name.excesses", lambda investigation, cost, noise: {"chassis": float(cost["chassis"].sum())}
     )
     costs = {
         name: {"chassis": np.array([total])} for name, total in (("base", 1100.0), ("now", 1100.0), ("best", 990.0))
     }
     found = {name: SimpleNamespace(cost=cost) for name, cost in costs.items()}
-    investigation = SimpleNamespace(base=found["base"])
+    investigation = SimpleNamespace(base=found["base"], noise_cost=lambda _: {"chassis": noise})
     decision = SimpleNamespace(found=found["now"], noise={"chassis": 1000.0})
-    assert _deaf(investigation, decision, SimpleNamespace(found=found["best"]), {"chassis": noise}) == deaf
+    assert _deaf(investigation, decision, found["best"]) == deaf
 
 
 def test_a_rear_driven_split_is_no_idle_effect():
@@ -359,7 +404,7 @@ def test_the_next_manoeuvre_is_what_would_decide():
     [
         (["aero_drag"], [1000.0, 20.0], "named"),
         (["aero_drag"], [1000.0, 540.0], "under_excited"),  # the little that is there is mostly something else
-        (["aero_drag"], [9e6, 5e6], "named"),  # a real car: noise is no yardstick
+        (["aero_drag"], [9e6, 5e6], "named"),  # a real car, sensors that were filtered: noise is no yardstick
         ([], [100.0], "none"),
     ],
 )
@@ -367,10 +412,13 @@ def test_a_name_must_explain_most_of_a_small_excess(monkeypatch, chosen, excess,
     monkeypatch.setattr("racerl.gap.verdict.open_stage", lambda *_: ("", 0.0, 0.0))
     before, after = ({"chassis": each, "steering": 800.0} for each in (excess[0], excess[-1]))  # steering's is chance
     monkeypatch.setattr("racerl.gap.verdict.fitted", lambda *_: (before, after))
-    investigation = SimpleNamespace(floor={"chassis": 1e5, "steering": 1e4}, touched=lambda *_: ["chassis"])
+    evidence = {"chassis": SimpleNamespace(filtered=True)}
+    investigation = SimpleNamespace(evidence=evidence, touched=lambda *_: ["chassis"])
     score = Score(["aero_drag", "downforce"], np.diag([900.0, 900.0]), np.zeros(2))
     found = SimpleNamespace(vehicle=None)
-    verdict = judge(investigation, SimpleNamespace(chosen=chosen, found=found, rounds=[], score=score))
+    noise = {"chassis": 1e5, "steering": 1e4}
+    decision = SimpleNamespace(chosen=chosen, kept={}, found=found, noise=noise, score=score)
+    verdict = judge(investigation, decision)
     assert verdict.kind == kind and verdict.effects == (() if kind in ("under_excited", "none") else ("aero_drag",))
 
 

@@ -9,11 +9,12 @@ import torch
 
 from racerl.gap.evidence import SMOOTH, Evidence
 from racerl.gap.follow import follow, lagged
-from racerl.gap.investigation import COG
+from racerl.gap.investigation import COG, Screened
 from racerl.gap.name import name_effects
 from racerl.gap.presence import with_all
 from racerl.gap.problem import Problem, StageKernels, StageProblem, Unknown, _Work, loss
 from racerl.gap.stage import CHASSIS, DRIVE, STEERING
+from racerl.gap.verdict import judge
 from racerl.identify.unknowns import choose_unknowns
 from racerl.vehicle.ops import TORCH
 from racerl.vehicle.parameter import replace_values, values
@@ -66,6 +67,12 @@ def test_the_noise_of_every_channel_is_found(clean):
     noise = dict(zip(chassis.observed, chassis.noise(), strict=True))
     assert noise["x"] == pytest.approx(0.0005, rel=0.1) and noise["yaw"] == pytest.approx(0.001, rel=0.1)
     assert Evidence.of([clean], STEERING, 40, 0.5).noise()[0] == pytest.approx(0.002, rel=0.1)
+
+
+def test_filtered_sensors_are_told_from_noisy_ones(clean):
+    noisy = Evidence.of([clean], CHASSIS, 40, 0.5)
+    mean = {name: np.convolve(noisy.columns[name], [0.25, 0.5, 0.25], "same") for name in noisy.observed}
+    assert not noisy.filtered and dataclasses.replace(noisy, columns={**noisy.columns, **mean}).filtered
 
 
 def test_velocities_that_were_made_from_poses_are_told_from_measured_ones(clean):
@@ -272,6 +279,44 @@ def test_a_hidden_effect_is_named_and_measured(damped):
     assert decision.chosen == ["yaw_damping"]
     assert decision.found.theta["effects.yaw_damping.coefficient"] == pytest.approx(0.15, rel=0.1)
     assert decision.excess[-1] < 0.2 * decision.excess[0]
+
+
+@needs_compiler
+def test_an_effect_starts_as_it_was_fitted_before_too(damped, monkeypatch):
+    investigation = investigate(damped, "yaw_damping")
+    fitted = dataclasses.replace(investigation.catalogue["yaw_damping"][0], coefficient=0.123)
+    tried = []
+
+    def record(base, name, vehicle, stages):
+        tried.append(vehicle.effects[name])
+        return Screened(name, vehicle, 0.0, "chassis")
+
+    monkeypatch.setattr(investigation, "_try", record)
+    investigation.screen(investigation.base, "yaw_damping", [fitted])
+    assert set(investigation.catalogue["yaw_damping"]) | {fitted} <= set(tried)
+
+
+@needs_compiler
+def test_a_small_effect_beside_a_large_one_is_named():
+    log = drive(
+        "+vehicle/effect=[steering_offset,steering_gain]",
+        "vehicle.effects.steering_offset.offset=0.08",
+        "vehicle.effects.steering_gain.gain=0.96",
+    )
+    decision = name_effects(investigate(log, "steering_offset", "steering_gain", "steering_saturation"), 0)
+    assert decision.chosen == ["steering_offset", "steering_gain"] and decision.rounds[1][0].worth < 0.01
+    assert decision.found.theta["effects.steering_gain.gain"] == pytest.approx(0.96, abs=0.01)
+
+
+@needs_compiler
+def test_what_is_left_by_a_name_is_excused_only_where_sensors_were_filtered(monkeypatch):
+    log = drive("+vehicle/effect=road_bank", "vehicle.effects.road_bank.bank=0.2")
+    investigation = investigate(log, "drive_split", "yaw_damping")
+    decision = name_effects(investigation, 0)
+    monkeypatch.setattr("racerl.gap.verdict.COARSE", 0.1)
+    assert decision.chosen == ["drive_split"] and judge(investigation, decision).kind == "unknown"
+    monkeypatch.setattr(Evidence, "filtered", True)
+    assert judge(investigation, decision).kind == "named"
 
 
 @needs_compiler
