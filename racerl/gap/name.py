@@ -40,7 +40,7 @@ EXACT = 0.01  # the same, where it has one
 DEAF = 0.5  # share of a gain that may be noise of measured inputs that is passed on no longer
 WORTH = 0.04  # share of the first excess, and of what is left of it before the round, that an effect must explain
 REAL = 0.05  # excess cost over the noise's that is real: the noise itself is known to a few percent
-ALL = 0.85  # share of a real excess that no wrong form of an earlier effect explains (development logs)
+ALL, SMALL = 0.85, 0.01  # shares of what is left, and of the first excess, that are not an earlier effect's wrong form
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class Scored:
     @property
     def wanted(self) -> bool:
         """Whether the effect is needed: a small one beside a large one has to explain all that the large one leaves."""
-        small = self.explained > ALL and self.before > REAL
+        small = self.explained > ALL and self.worth > SMALL and self.before > REAL
         return self.clear and self.explained >= WORTH and (self.worth >= WORTH or small)
 
 
