@@ -20,7 +20,7 @@ from racerl.gap.name import REAL, Decision, equals, excesses
 from racerl.gap.score import Score
 
 CHANCE = 5.0  # deviations of the noise's own cost, a χ², below which an excess may be chance
-LEFT = 0.25  # share of the first excess that may stay behind when the name is right
+LEFT, LEFT_EXACT = 0.25, 0.1  # shares of the first excess that may stay behind a right name: of many forms, of one
 CREDIBLE = 0.6  # share of the excess that a name must explain
 COARSE = 30.0  # excess over the noise's cost, beyond which that of filtered sensors is no yardstick
 SHOWS = 30.0  # first-order gain, a χ², at its usual size that makes an effect show
@@ -74,12 +74,13 @@ def open_stage(
 ) -> tuple[str, float, float]:
     """Return the stage whose excess is real and not explained, with that and its first one, over the noise's cost."""
     worst = ("", 0.0, 0.0)
+    exact = all(decision.found.vehicle.effects[name].exact for name in decision.chosen)
     for name, noise in decision.noise.items():
         left, first = after[name] / noise, before[name] / noise
         real = max(REAL, CHANCE * np.sqrt(2.0 / counted(investigation, name)))
         if decision.chosen and _coarse(investigation, decision, name, after[name]):
             continue
-        if left > real and left > LEFT * first and left > worst[1]:
+        if left > real and left > (LEFT_EXACT if exact else LEFT) * first and left > worst[1]:
             worst = (name, left, first)
     return worst
 

@@ -22,7 +22,7 @@ from racerl.gap.problem import Unknown
 from racerl.gap.prove import explained
 from racerl.gap.score import Score
 from racerl.gap.stage import stages
-from racerl.gap.verdict import Verdict, judge, separable
+from racerl.gap.verdict import Verdict, judge, open_stage, separable
 from racerl.report.gap_page import draw_gap
 from racerl.vehicle import catalogue
 from racerl.vehicle.load import load_vehicle
@@ -420,6 +420,16 @@ def test_a_name_must_explain_most_of_a_small_excess(monkeypatch, chosen, excess,
     decision = SimpleNamespace(chosen=chosen, kept={}, found=found, noise=noise, score=score)
     verdict = judge(investigation, decision)
     assert verdict.kind == kind and verdict.effects == (() if kind in ("under_excited", "none") else ("aero_drag",))
+
+
+@pytest.mark.parametrize(("name", "most"), [("steering_gain", 0.1), ("drive_split", 0.25)])
+def test_an_effect_of_one_form_must_leave_less(name, most):
+    evidence = SimpleNamespace(filtered=False, numbers=100, start=np.arange(1000))
+    investigation = SimpleNamespace(evidence={"chassis": evidence})
+    found = SimpleNamespace(vehicle=make_car(f"+vehicle/effect={name}"))
+    decision = SimpleNamespace(chosen=[name], found=found, noise={"chassis": 1e5})
+    for share, stage in ((most - 0.02, ""), (most + 0.02, "chassis")):
+        assert open_stage(investigation, decision, {"chassis": 1e6}, {"chassis": share * 1e6})[0] == stage
 
 
 def test_a_candidate_that_a_few_steps_led_astray_is_fitted_where_theory_foretells_a_gain():
