@@ -34,7 +34,7 @@ SAMPLED = 3  # every which window screening, and the choice of a start of the no
 STARTS = 2  # of the nominal fit, beside the configured vehicle
 STRETCH = 6  # windows that are held out together
 EVEN = 0.05  # excess over the noise's cost at which an actuator's command counts as rightly timed
-MENDED = 0.2  # share of an excess that a half sample must take away for the command's timing to be looked into
+PROBE, MENDED = 0.2, 0.2  # of a sample earlier must take so much of an excess away for a command's timing to matter
 FAR = 2.0  # prior deviations, beyond which a refitted parameter is a clue in itself
 COG = "cog_longitudinal_offset"  # takes the place of l_f, which is then as weighed
 WIDE = 3.0  # deviation of an effect's parameters, in their usual sizes
@@ -131,7 +131,7 @@ class Investigation:
             return float(self._fit(frozenset(), self.vehicle, None, NOMINAL, [stage]).cost[stage].sum())
 
         late = cost(0.0)
-        if late <= enough or late - cost(0.5 * given.dt) < MENDED * (late - enough):
+        if late <= enough or late - cost(PROBE * given.dt) < MENDED * (late - enough):
             return given
         best = minimize_scalar(cost, bounds=(0.0, given.dt), method="bounded", options={"xatol": 0.02 * given.dt})
         return replace(given, early=float(best.x)) if best.fun <= enough else given

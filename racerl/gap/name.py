@@ -241,6 +241,11 @@ def _instead(judge: "Judge", without: Decision, rival: Scored) -> Scored:
     return judge.score(rival.name, judge.investigation.converged(found), without.cost, without.noise)
 
 
+def close(row: Scored) -> bool:
+    """Return whether a candidate helps, and hardly less than the best of its round."""
+    return row.clear and row.behind < ALIKE
+
+
 def equals(rows: Sequence[Scored]) -> list[Scored]:
     """Return the candidates that explain the data as well as the best.
 
@@ -252,7 +257,7 @@ def equals(rows: Sequence[Scored]) -> list[Scored]:
         slack = EQUAL if other.size <= best.size or other.behind < 0.0 else 0.0
         return other.explained - PARAMETER * other.size > best.explained - PARAMETER * best.size - slack
 
-    return [other for other in rows[1:] if other.clear and other.behind < ALIKE and equal(other)]
+    return [other for other in rows[1:] if close(other) and equal(other)]
 
 
 def _settled(investigation: Investigation, decision: Decision) -> Decision:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from racerl.gap.investigation import Investigation
-from racerl.gap.name import REAL, Decision, equals, excesses
+from racerl.gap.name import REAL, Decision, close, equals, excesses
 from racerl.gap.score import Score
 
 CHANCE = 5.0  # deviations of the noise's own cost, a χ², below which an excess may be chance
@@ -25,6 +25,7 @@ CREDIBLE = 0.6  # share of the excess that a name must explain
 COARSE = 30.0  # excess over the noise's cost, beyond which that of filtered sensors is no yardstick
 SHOWS = 30.0  # first-order gain, a χ², at its usual size that makes an effect show
 TWINS = 0.95  # |cosine| above which a linear test cannot tell two effects apart
+ONE = 0.9995  # |cosine| above which two effects are one in this log, for want of a stage that tells
 MOST = 0.5  # share of the catalogue that a log must be able to show
 
 
@@ -43,7 +44,8 @@ def judge(investigation: Investigation, decision: Decision) -> Verdict:
     """Return the verdict."""
     blind = hidden(decision.score)
     effects = tuple(decision.chosen)
-    rivals = tuple(row.name for rows in decision.kept.values() for row in equals(rows) if row.name not in effects)
+    equal = [row.name for rows in decision.kept.values() for row in equals(rows)]
+    rivals = tuple(dict.fromkeys(name for name in (*equal, *_one_with(decision)) if name not in effects))
     before, after = fitted(investigation, decision)
     stage, left, first = open_stage(investigation, decision, before, after)
     if not effects:
@@ -67,6 +69,16 @@ def judge(investigation: Investigation, decision: Decision) -> Verdict:
     if rivals:
         return Verdict("ambiguous", effects, rivals, blind, f"{explained}, and so does {' or '.join(rivals)}")
     return Verdict("named" if len(effects) == 1 else "multiple", effects, (), blind, explained)
+
+
+def _one_with(decision: Decision) -> list[str]:
+    """Return the rivals that are one with a chosen effect in this log, even where their fits ended apart."""
+    names, cosines = decision.score.names, np.abs(decision.score.cosines())
+
+    def one(name: str, other: str) -> bool:
+        return bool(cosines[names.index(name), names.index(other)] > ONE)
+
+    return [row.name for name, rows in decision.kept.items() for row in rows[1:] if close(row) and one(name, row.name)]
 
 
 def open_stage(

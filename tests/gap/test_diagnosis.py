@@ -422,6 +422,31 @@ def test_a_name_must_explain_most_of_a_small_excess(monkeypatch, chosen, excess,
     assert verdict.kind == kind and verdict.effects == (() if kind in ("under_excited", "none") else ("aero_drag",))
 
 
+def test_effects_that_are_one_in_a_log_are_rivals(monkeypatch):
+    monkeypatch.setattr("racerl.gap.verdict.open_stage", lambda *_: ("", 0.0, 0.0))
+    monkeypatch.setattr("racerl.gap.verdict.fitted", lambda *_: ({"chassis": 1e5}, {"chassis": 0.0}))
+    H = 900.0 * np.array([[1.0, -0.9999, 0.97], [-0.9999, 1.0, -0.97], [0.97, -0.97, 1.0]])
+    score = Score(["steering_offset", "steering_sensor_offset", "camber_thrust"], H, np.zeros(3))
+    investigation = SimpleNamespace(touched=lambda *_: ["chassis"])
+    rows = [
+        SimpleNamespace(name=name, explained=share, behind=behind, clear=True, size=1)
+        for name, share, behind in (("steering_offset", 0.9, 0.0), ("camber_thrust", 0.8, 1.0))
+    ]
+    twin = SimpleNamespace(name="steering_sensor_offset", explained=0.8, behind=-0.5, clear=True, size=1)
+    for behind, kind in (
+        (-0.5, "ambiguous"),
+        (9.0, "named"),
+    ):  # bounds may keep a twin away: it is the other one's turn
+        twin.behind = behind
+        found = SimpleNamespace(vehicle=None)
+        kept = {"steering_offset": [*rows, twin]}
+        decision = SimpleNamespace(
+            chosen=["steering_offset"], kept=kept, found=found, noise={"chassis": 1e5}, score=score
+        )
+        verdict = judge(investigation, decision)
+        assert verdict.kind == kind and verdict.rivals == (("steering_sensor_offset",) if kind == "ambiguous" else ())
+
+
 @pytest.mark.parametrize(("name", "most"), [("steering_gain", 0.1), ("drive_split", 0.25)])
 def test_an_effect_of_one_form_must_leave_less(name, most):
     evidence = SimpleNamespace(filtered=False, numbers=100, start=np.arange(1000))
