@@ -2,6 +2,7 @@
 
 import dataclasses
 import shutil
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ import torch
 
 from racerl.gap.evidence import SMOOTH, Evidence
 from racerl.gap.follow import follow, lagged
-from racerl.gap.investigation import COG, Screened
+from racerl.gap.investigation import COG, Investigation, Screened
 from racerl.gap.name import name_effects
 from racerl.gap.presence import with_all
 from racerl.gap.problem import Problem, StageKernels, StageProblem, Unknown, _Work, loss
@@ -51,6 +52,19 @@ def test_an_input_is_shifted_by_so_many_seconds(clean):
     half, whole = (commands.windows(states, (shift, 0.0)).inputs[:, 0] for shift in (0.005, 0.01))
     none = commands.windows(states, (0.0, 0.0)).inputs[:, 0]
     assert np.allclose(half, (none + whole) / 2)
+
+
+@pytest.mark.parametrize("sent", [0.0, 0.001, 0.002, 0.005, 0.0095])
+def test_commands_that_were_sent_between_samples_are_timed(clean, sent):
+    steering = Evidence.of([clean], STEERING, 85, 0.5)
+    least = steering.numbers * len(steering.start)
+
+    def fit(effects, vehicle, start, iterations, stages):  # a shift leaves errors in proportion to it
+        off = fake.evidence["steering"].early - sent
+        return SimpleNamespace(cost={"steering": np.array([least * (1.0 + (off / 0.002) ** 2)])})
+
+    fake = SimpleNamespace(evidence={"steering": steering}, vehicle=None, _fit=fit)
+    assert Investigation._timed(fake, "steering").early == pytest.approx(sent, abs=0.0003)
 
 
 def test_inputs_are_smoothed_as_far_as_only_noise_is_lost(clean):
