@@ -3,7 +3,7 @@
 `blind` is a folder with logs/*.parquet and keys.json, case → {effects: [{name, size, parameters, units}], set,
 programme, noise}; `python -m tests.gap.plant` writes one from the project's independent plant. Every case has a
 diagnosis in `work`, where an interrupted benchmark goes on. With `withhold`, what a case hides is left out of the
-catalogue: then `unknown` is right, or what the catalogue says the truth is confused with.
+catalogue: then `unknown` is right, or what the catalogue says the truth is confused with; other cases are left out.
 """
 
 import math
@@ -19,7 +19,7 @@ from racerl.documents import read_json
 from racerl.errors import ConfigError
 from racerl.gap.diagnose import VERDICT, gap
 from racerl.run import MANIFEST, is_complete
-from racerl.vehicle.catalogue import confused_with
+from racerl.vehicle.catalogue import confused_with, names
 
 NAMED = ("named", "multiple")
 WITHHELD = "withheld"  # the set of cases whose truth the catalogue lacks
@@ -43,7 +43,8 @@ class Gap:
                 f"benchmark.blind = {self.blind}: holds no keys.json; write one: python -m tests.gap.plant"
             )
         keys = read_json(folder / "keys.json")
-        logs = [path for path in sorted((folder / "logs").glob("*.parquet")) if path.stem in keys][: self.most]
+        asked = {case for case, key in keys.items() if not self.withhold or _known(key)}
+        logs = [path for path in sorted((folder / "logs").glob("*.parquet")) if path.stem in asked][: self.most]
         rows = []
         for i, log in enumerate(logs):
             on_progress(i / len(logs), f"case {i + 1} of {len(logs)}")
@@ -62,6 +63,11 @@ class Gap:
                 "confusion": confusion(rows),
             }
         }
+
+
+def _known(key: dict[str, Any]) -> bool:
+    """Return whether the catalogue has what a case hides."""
+    return bool(key["effects"]) and all(effect["name"] in names() for effect in key["effects"])
 
 
 def _diagnosis(settings: dict[str, Any], out: Path) -> tuple[dict[str, Any], float | None]:
@@ -116,8 +122,8 @@ def contained(row: dict[str, Any]) -> bool:
     return set(row["truth"]) <= {*row["found"], *row["rivals"]}
 
 
-def abstained(row: dict[str, Any]) -> bool:
-    """Return whether no more is claimed of a truth that the catalogue lacks than what it is confused with."""
+def honest(row: dict[str, Any]) -> bool:
+    """Return whether a truth that the catalogue lacks is `unknown`, or called by what it is confused with only."""
     said = {*row["found"], *row["rivals"]}
     known = frozenset().union(*map(confused_with, row["truth"]))
     return row["verdict"] == "unknown" or (bool(said) and said <= known)
@@ -141,7 +147,7 @@ def scores(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "wrong single name": ([row for row in rows if row["set"] != WITHHELD], wrong_name),
         "false alarm on clean logs": ([row for row in rows if row["set"] == "clean"], lambda row: not right(row)),
         "unknown, effects of no catalogue": (_of(rows, "unlisted"), lambda row: row["verdict"] == "unknown"),
-        "unknown or what it is confused with, truth withheld": (_of(rows, WITHHELD), abstained),
+        "unknown or what it is confused with, truth withheld": (_of(rows, WITHHELD), honest),
         "both of two effects": (_of(rows, "pairs"), right),
         "no name on poor logs": (_of(rows, "poor"), lambda row: row["verdict"] not in NAMED or right(row)),
         "no single name on two-track cars": (_of(rows, "structure"), lambda row: not wrong_name(row)),
@@ -194,7 +200,7 @@ def by_verdict(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
 def deserved(row: dict[str, Any]) -> bool:
     """Return whether a verdict is true: the right name, the truth among rivals, no name where there is none."""
     if row["set"] == WITHHELD:
-        return abstained(row)
+        return honest(row)
     if row["verdict"] == "ambiguous":
         return contained(row) and bool(row["truth"])
     if row["verdict"] == "unknown":

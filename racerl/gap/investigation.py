@@ -246,15 +246,18 @@ class Investigation:
         It starts as it was `fitted` beside fewer effects, too. Where the fit is astray, all parameters but the effects'
         start as configured, too. Return the best; None where no stage shows the effect.
         """
-        likely = [with_effect(base.vehicle, name, effect) for effect in (*self._likely(base, name), *fitted)]
-        if name == COG:
-            likely = [replace_values(vehicle, {"l_f": self.vehicle.l_f}) for vehicle in likely]
+        likely = [self.joined(base.vehicle, name, effect) for effect in (*self._likely(base, name), *fitted)]
         stages = self.touched(likely[0], frozenset([name])) if likely else []
         if not stages:
             return None
         if self.beyond(base, stages) > ASTRAY:
             likely += [replace(self.vehicle, effects=vehicle.effects) for vehicle in likely]
         return max((self._try(base, name, vehicle, stages) for vehicle in likely), key=lambda each: each.gain)
+
+    def joined(self, vehicle: Vehicle, name: str, effect: Effect) -> Vehicle:
+        """Return a fitted vehicle with an effect more; a displaced centre of gravity starts from l_f as weighed."""
+        vehicle = with_effect(vehicle, name, effect)
+        return replace_values(vehicle, {"l_f": self.vehicle.l_f}) if name == COG else vehicle
 
     def _try(self, base: Found, name: str, vehicle: Vehicle, stages: Sequence[str]) -> Screened:
         """Return where a few iterations on a share of the windows lead a vehicle with an effect more."""

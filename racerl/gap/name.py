@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from racerl.gap.catalogue import PLACE, neutral, placed
-from racerl.gap.investigation import Found, Investigation, Screened, with_effect
+from racerl.gap.investigation import Found, Investigation, Screened
 from racerl.gap.score import Score, summed
 from racerl.vehicle import catalogue
 from racerl.vehicle.vehicle import Vehicle
@@ -31,7 +31,7 @@ RESAMPLES = 2000
 OUTER = 0.02  # share of the blocks on each side that count no more than their neighbours
 CLEAR = 3.0  # standard errors by which a gain must differ from zero
 SAME = 2.0  # standard errors within which candidates explain alike
-ALIKE = 3.0  # standard errors that a rival may be behind
+BEHIND = 3.0  # standard errors that a rival may be behind
 EQUAL = 0.05  # share of the excess that a rival may explain less
 PARAMETER = 0.01  # share of the excess that one more parameter must explain
 WILD, TYPICAL = 30.0, 10.0  # mean squared deviation of a wild window, and its cost in median ones
@@ -49,8 +49,8 @@ class Scored:
 
     `gain` is in squared deviations, robust against wild windows, `error` its standard error over blocks of windows;
     `explained` the share that it takes of the excess in the stages that it touches, `worth` of the first one there;
-    `before` is that excess where it is largest, over the noise's cost; `behind` is how much the round's best one gains
-    beyond it, in standard errors of the difference.
+    `before` is the excess before it, of the stage that has most, over the noise's cost; `behind` is by how much the
+    best one of the round gains more, in standard errors of the difference.
     """
 
     name: str
@@ -88,7 +88,7 @@ class Decision:
     kept: dict[str, list[Scored]]  # every effect, and its rivals, beside the others
     found: Found
     cost: dict[str, Array]  # of held-out windows
-    noise: dict[str, float]  # cost that the sensors' noise alone would leave, the least by any fit so far
+    noise: dict[str, float]  # cost that the sensors' noise alone would leave, by the first fit or this one
     score: Score  # of the refitted vehicle without effects
     rounds: list[list[Scored]] = field(default_factory=list)
     excess: list[float] = field(default_factory=list)  # of the cost over the noise, before each round and at the end
@@ -123,19 +123,24 @@ def name_effects(
 
 
 def _with(investigation: Investigation, decision: Decision, scored: list[Scored]) -> Decision:
-    """Return the decision with the best candidate of a round, its fit carried on: else any other gains by doing so."""
-    found = scored[0].found
+    """Return the decision with the best candidate of a round."""
+    found = _carried(investigation, scored[0].found)
+    return _changed(investigation, decision, {**decision.kept, scored[0].name: scored}, found)
+
+
+def _carried(investigation: Investigation, found: Found) -> Found:
+    """Return a fit carried on: else any effect beside it gains by doing so."""
     for _ in range(CARRIED):
         found = investigation.converged(found)
-    cost = {**decision.cost, **investigation.held_out(found)}
-    noise = _least(decision.noise, investigation.noise_cost(found))
+    return found
+
+
+def _changed(investigation: Investigation, decision: Decision, kept: dict[str, list[Scored]], found: Found) -> Decision:
+    """Return the decision with other effects; a vehicle that is far off passes on too much noise: the least counts."""
+    cost, passed = {**decision.cost, **investigation.held_out(found)}, investigation.noise_cost(found)
+    noise = {stage: min(most, passed.get(stage, most)) for stage, most in investigation.floor.items()}
     decision.excess.append(excess(investigation, cost, noise))
-    return replace(decision, kept={**decision.kept, scored[0].name: scored}, found=found, cost=cost, noise=noise)
-
-
-def _least(noise: Mapping[str, float], other: Mapping[str, float]) -> dict[str, float]:
-    """Return the least of two costs of noise per stage: a vehicle that is far off passes on too much of it."""
-    return {stage: min(cost, other.get(stage, cost)) for stage, cost in noise.items()}
+    return replace(decision, kept=kept, found=found, cost=cost, noise=noise)
 
 
 def _deaf(investigation: Investigation, decision: Decision, best: Found) -> bool:
@@ -175,8 +180,8 @@ def _round(
     most = max((row.gain for row in scored), default=0.0)
     near = [row.gain > max(CLOSE * most, row.error) for row in scored]
     scored = [
-        judge.score(row.name, investigation.converged(row.found), decision.cost, decision.noise) if close else row
-        for row, close in zip(scored, near, strict=True)
+        judge.score(row.name, investigation.converged(row.found), decision.cost, decision.noise) if promising else row
+        for row, promising in zip(scored, near, strict=True)
     ]
     return judge.ranked(scored, decision.cost)
 
@@ -211,39 +216,47 @@ def _hopeful(tried: Sequence[Screened], score: Score, stage: str) -> list[Screen
 
 
 def _reviewed(judge: "Judge", decision: Decision) -> Decision:
-    """Judge every effect again beside those found after it, and its rivals in its place."""
-    investigation = judge.investigation
-    for name in decision.chosen[:-1]:
-        less = investigation.without(decision.found, name)
-        without = replace(decision, found=less, cost={**decision.cost, **investigation.held_out(less)})
-        rows = [judge.score(name, decision.found, without.cost, without.noise)]
-        if not rows[0].wanted:
-            kept = {key: row for key, row in decision.kept.items() if key != name}
-            decision = replace(without, kept=kept)
-            decision.excess.append(excess(investigation, decision.cost, decision.noise))
-            continue
-        rivals = [row for row in equals(decision.kept[name]) if row.name not in decision.kept]
-        rows = judge.ranked([*rows, *(_instead(judge, without, rival) for rival in rivals)], without.cost)
-        kept = {
-            rows[0].name if key == name else key: rows if key == name else row for key, row in decision.kept.items()
-        }
-        decision = replace(decision, kept=kept)
-        if rows[0].name != name:
-            decision = replace(decision, found=rows[0].found, cost={**without.cost, **rows[0].cost})
-            decision.excess.append(excess(investigation, decision.cost, decision.noise))
+    """Judge every effect again beside the others, until nothing changes; the last one found is judged so already."""
+    names = decision.chosen[:-1]
+    for _ in range(ROUNDS):
+        before = decision.chosen
+        for name in names:
+            decision = _judged_again(judge, decision, name)
+        if decision.chosen == before:
+            break
+        names = decision.chosen
     return decision
+
+
+def _judged_again(judge: "Judge", decision: Decision, name: str) -> Decision:
+    """Judge an effect beside the others, and its rivals in its place: it stays, goes, or is exchanged."""
+    investigation = judge.investigation
+    less = _carried(investigation, investigation.without(decision.found, name))
+    others = {other: rows for other, rows in decision.kept.items() if other != name}
+    without = _changed(investigation, replace(decision, excess=[]), others, less)
+    own = judge.score(name, decision.found, without.cost, without.noise)
+    if not own.wanted:
+        return replace(without, excess=[*decision.excess, *without.excess])
+    rivals = [_instead(judge, without, row) for row in decision.kept[name][1:] if close(row) and row.name not in others]
+    sound = [rival for rival in rivals if rival.wanted and not _deaf(investigation, without, rival.found)]
+    rows = judge.ranked([own, *sound], without.cost)
+    kept = dict((rows[0].name, rows) if other == name else (other, kept) for other, kept in decision.kept.items())
+    if rows[0].name == name:
+        return replace(decision, kept=kept)
+    return _changed(investigation, decision, kept, rows[0].found)
 
 
 def _instead(judge: "Judge", without: Decision, rival: Scored) -> Scored:
     """Return a rival of an effect, fitted and judged beside all others."""
-    vehicle = with_effect(without.found.vehicle, rival.name, rival.found.vehicle.effects[rival.name])
-    found = judge.investigation.add(without.found, Screened(rival.name, vehicle, rival.gain, ""))
-    return judge.score(rival.name, judge.investigation.converged(found), without.cost, without.noise)
+    investigation, effect = judge.investigation, rival.found.vehicle.effects[rival.name]
+    vehicle = investigation.joined(without.found.vehicle, rival.name, effect)
+    found = investigation.add(without.found, Screened(rival.name, vehicle, rival.gain, ""))
+    return judge.score(rival.name, _carried(investigation, found), without.cost, without.noise)
 
 
 def close(row: Scored) -> bool:
     """Return whether a candidate helps, and hardly less than the best of its round."""
-    return row.clear and row.behind < ALIKE
+    return row.clear and row.behind < BEHIND
 
 
 def equals(rows: Sequence[Scored]) -> list[Scored]:
@@ -269,7 +282,7 @@ def _settled(investigation: Investigation, decision: Decision) -> Decision:
         if not idle:
             return replace(decision, found=found)
         kept = {name: rows for name, rows in decision.kept.items() if name != idle[0]}
-        decision = replace(decision, kept=kept, found=investigation.without(found, idle[0]))
+        decision = _changed(investigation, decision, kept, investigation.without(found, idle[0]))
 
 
 def _idle(name: str, ranges: Mapping[str, tuple[float, float, float]]) -> bool:

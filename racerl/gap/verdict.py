@@ -73,10 +73,10 @@ def judge(investigation: Investigation, decision: Decision) -> Verdict:
 
 def _one_with(decision: Decision) -> list[str]:
     """Return the rivals that are one with a chosen effect in this log, even where their fits ended apart."""
-    names, cosines = decision.score.names, np.abs(decision.score.cosines())
+    names, cosines, dark = decision.score.names, np.abs(decision.score.cosines()), hidden(decision.score)
 
     def one(name: str, other: str) -> bool:
-        return bool(cosines[names.index(name), names.index(other)] > ONE)
+        return not {name, other} & set(dark) and bool(cosines[names.index(name), names.index(other)] > ONE)
 
     return [row.name for name, rows in decision.kept.items() for row in rows[1:] if close(row) and one(name, row.name)]
 
@@ -86,15 +86,21 @@ def open_stage(
 ) -> tuple[str, float, float]:
     """Return the stage whose excess is real and not explained, with that and its first one, over the noise's cost."""
     worst = ("", 0.0, 0.0)
-    exact = all(decision.found.vehicle.effects[name].exact for name in decision.chosen)
     for name, noise in decision.noise.items():
         left, first = after[name] / noise, before[name] / noise
         real = max(REAL, CHANCE * np.sqrt(2.0 / counted(investigation, name)))
         if decision.chosen and _coarse(investigation, decision, name, after[name]):
             continue
-        if left > real and left > (LEFT_EXACT if exact else LEFT) * first and left > worst[1]:
+        if left > real and left > _may_stay(investigation, decision, name) * first and left > worst[1]:
             worst = (name, left, first)
     return worst
+
+
+def _may_stay(investigation: Investigation, decision: Decision, stage: str) -> float:
+    """Return which share of a stage's excess may stay behind right names."""
+    vehicle = decision.found.vehicle
+    acting = [name for name in decision.chosen if stage in investigation.touched(vehicle, frozenset([name]))]
+    return LEFT_EXACT if all(vehicle.effects[name].exact for name in acting) else LEFT
 
 
 def _coarse(investigation: Investigation, decision: Decision, stage: str, left: float) -> bool:

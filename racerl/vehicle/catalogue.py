@@ -50,4 +50,4 @@ def confused_with(name: str) -> frozenset[str]:
 
 
 def _named_by(name: str) -> set[str]:
-    return set(re.findall(r"[a-z_]+", entry(name).aspects["Confused with"])) - {name}
+    return set(re.findall(r"[a-z_]+", entry(name).aspects["Confused with"]))

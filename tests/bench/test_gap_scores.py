@@ -2,7 +2,7 @@
 
 import pytest
 
-from racerl.bench.gap import abstained, by_verdict, confusion, detection, outcome, right, scores, share, wrong_name
+from racerl.bench.gap import by_verdict, confusion, detection, honest, outcome, right, scores, share, wrong_name
 
 
 def case(truth, verdict, found=(), rivals=(), kind="single", size="medium", programme="excitation", tells=("a",)):
@@ -77,7 +77,7 @@ def test_where_the_truth_is_withheld_only_what_it_is_confused_with_may_be_said()
 
     right = [told("unknown"), told("named", "locked_differential")]
     wrong = [told("none"), told("named", "lever_arm"), told("ambiguous", "locked_differential", "lever_arm")]
-    assert [abstained(row) for row in right + wrong] == [True, True, False, False, False]
+    assert [honest(row) for row in right + wrong] == [True, True, False, False, False]
     found = scores(right + wrong)
     assert "wrong single name" not in found
     row = found["unknown or what it is confused with, truth withheld"]

@@ -16,7 +16,7 @@ from racerl.gap.evidence import Evidence, contradictory
 from racerl.gap.growth import growth, places
 from racerl.gap.investigation import Screened
 from racerl.gap.locate import _test
-from racerl.gap.name import EXACT, FORM, Decision, _deaf, _hopeful, _idle, _least, _reviewed, equals, intervals
+from racerl.gap.name import EXACT, FORM, Decision, _changed, _deaf, _hopeful, _idle, _reviewed, equals, intervals
 from racerl.gap.plan import plan, telling
 from racerl.gap.problem import Unknown
 from racerl.gap.prove import explained
@@ -285,48 +285,66 @@ def test_rivals_explain_as_much_for_their_parameters():
 
 
 @pytest.mark.parametrize(
-    ("own", "rival", "chosen", "left"),
+    ("shares", "chosen", "rivals"),
     [
-        (0.95, 0.50, ["viscous_drag", "lever_arm"], []),  # alike at first, told apart once the other one is in
-        (0.95, 0.94, ["viscous_drag", "lever_arm"], ["aero_drag"]),
-        (0.80, 0.99, ["aero_drag", "lever_arm"], []),
-        (0.00, 0.99, ["lever_arm"], []),  # needless
+        ({"vl": 0.97, "al": 0.60, "l": 0.2}, "vl", []),  # alike at first, told apart once the other one is in
+        ({"vl": 0.97, "al": 0.96, "l": 0.2}, "vl", ["a"]),
+        ({"vl": 0.80, "al": 0.99, "l": 0.2, "a": 0.5}, "al", []),
+        ({"vl": 0.80, "al": 0.99, "l": 0.2, "a": 0.99}, "a", []),  # the other one mended what the wrong one left
+        ({"vl": 0.97, "al": 0.60, "l": 0.97}, "l", []),
     ],
 )
-def test_effects_are_judged_again_beside_those_found_after_them(monkeypatch, own, rival, chosen, left):
+def test_effects_are_judged_again_beside_those_found_after_them(monkeypatch, shares, chosen, rivals):
     monkeypatch.setattr("racerl.gap.name.excess", lambda *_: 0.0)
-    car = make_car("+vehicle/effect=[viscous_drag,aero_drag,lever_arm]")
-    shares = {"viscous_drag": own, "aero_drag": rival, "lever_arm": 0.9}
+    monkeypatch.setattr("racerl.gap.name._deaf", lambda *_: False)
 
-    def row(name, explained):
-        behind = 10.0 * (max(shares.values()) - explained)
-        found = SimpleNamespace(name=name, vehicle=car, cost={"chassis": np.array([1.0 - explained])})
-        return SimpleNamespace(
-            name=name, found=found, cost=found.cost, gain=explained, explained=explained, behind=behind, size=1,
-            clear=True, wanted=explained > 0.04,
-        )  # fmt: skip
+    def fit(names):
+        left = {"chassis": 1.0 - {"": 0.0, **shares}["".join(name for name in "val" if name in names)]}
+        vehicle = SimpleNamespace(effects=dict.fromkeys(names))
+        return SimpleNamespace(names=frozenset(names), vehicle=vehicle, cost=left)
+
+    def score(name, found, before, noise):
+        part = 1.0 - found.cost["chassis"] / before["chassis"]
+        row = {"explained": part, "gain": part, "wanted": part > 0.04, "clear": True, "size": 1, "behind": 0.0}
+        return SimpleNamespace(name=name, found=found, cost=found.cost, **row)
+
+    def ranked(rows, cost):
+        rows = sorted(rows, key=lambda row: -row.explained)
+        for row in rows:
+            row.behind = 20.0 * (rows[0].explained - row.explained)
+        return rows
 
     investigation = SimpleNamespace(
-        without=lambda found, name: found,
+        floor={"chassis": 0.0},
+        noise_cost=lambda found: {"chassis": 0.0},
+        without=lambda found, name: fit(found.names - {name}),
         held_out=lambda found: found.cost,
-        add=lambda base, screened: SimpleNamespace(name=screened.name, vehicle=car, cost={}),
+        joined=lambda vehicle, name, effect: None,
+        add=lambda base, screened: fit(base.names | {screened.name}),
         converged=lambda found: found,
     )
-    judge = SimpleNamespace(
-        investigation=investigation,
-        score=lambda name, found, cost, noise: row(name, shares[name]),
-        ranked=lambda rows, cost: sorted(rows, key=lambda each: -each.explained),
+    judge = SimpleNamespace(investigation=investigation, score=score, ranked=ranked)
+    v, a, both = (SimpleNamespace(cost={"chassis": left}, vehicle=fit("vl").vehicle) for left in (0.22, 0.23, 0.03))
+    a.vehicle = SimpleNamespace(effects={"a": None})
+    before = {"chassis": 1.0}
+    first = {
+        "v": ranked([score("v", v, before, {}), score("a", a, before, {})], {}),
+        "l": [score("l", both, before, {})],
+    }
+    decision = _reviewed(judge, Decision(first, fit("vl"), fit("vl").cost, {"chassis": 0.0}, None))
+    assert decision.chosen == list(chosen) and decision.found.names == set(chosen)
+    assert decision.cost == fit(chosen).cost
+    assert [other.name for other in equals(decision.kept[chosen[0]])] == rivals
+
+
+def test_the_least_cost_of_noise_is_the_noise(monkeypatch):
+    monkeypatch.setattr("racerl.gap.name.excess", lambda *_: 0.0)
+    investigation = SimpleNamespace(
+        floor={"drive": 5.0, "chassis": 9.0}, held_out=lambda found: {}, noise_cost=lambda found: found
     )
-    first = {"viscous_drag": [row("viscous_drag", 0.78), row("aero_drag", 0.77)], "lever_arm": [row("lever_arm", 0.9)]}
-    noise = {"chassis": 1.0}
-    decision = _reviewed(judge, Decision(first, row("lever_arm", 0.9).found, {}, noise, None))
-    assert decision.chosen == chosen
-    assert [other.name for other in equals(decision.kept[chosen[0]])] == left
-
-
-def test_the_least_cost_of_noise_is_the_noise():
-    assert _least({"drive": 5.0, "chassis": 9.0}, {"chassis": 7.0}) == {"drive": 5.0, "chassis": 7.0}
-    assert _least({"drive": 5.0, "chassis": 9.0}, {"chassis": 11.0}) == {"drive": 5.0, "chassis": 9.0}
+    for passed, least in ((7.0, 7.0), (11.0, 9.0)):
+        decision = _changed(investigation, Decision({}, None, {}, {}, None), {}, {"chassis": passed})
+        assert decision.noise == {"drive": 5.0, "chassis": least}
 
 
 def test_the_share_explained_stays_inside_its_bounds():
@@ -450,7 +468,7 @@ def test_effects_that_are_one_in_a_log_are_rivals(monkeypatch):
 @pytest.mark.parametrize(("name", "most"), [("steering_gain", 0.1), ("drive_split", 0.25)])
 def test_an_effect_of_one_form_must_leave_less(name, most):
     evidence = SimpleNamespace(filtered=False, numbers=100, start=np.arange(1000))
-    investigation = SimpleNamespace(evidence={"chassis": evidence})
+    investigation = SimpleNamespace(evidence={"chassis": evidence}, touched=lambda *_: ["chassis"])
     found = SimpleNamespace(vehicle=make_car(f"+vehicle/effect={name}"))
     decision = SimpleNamespace(chosen=[name], found=found, noise={"chassis": 1e5})
     for share, stage in ((most - 0.02, ""), (most + 0.02, "chassis")):

@@ -277,6 +277,14 @@ def test_a_displaced_centre_of_gravity_is_known_no_better_than_it_was_weighed():
 
 
 @needs_compiler
+def test_a_displaced_centre_of_gravity_joins_a_vehicle_as_it_was_weighed(clean):
+    investigation = investigate(clean, COG, "yaw_damping")
+    moved = replace_values(investigation.vehicle, {"l_f": investigation.vehicle.l_f + 0.01})
+    for name, l_f in ((COG, investigation.vehicle.l_f), ("yaw_damping", moved.l_f)):
+        assert investigation.joined(moved, name, investigation.catalogue[name][0]).l_f == l_f
+
+
+@needs_compiler
 def test_what_the_data_do_not_tell_is_known_as_before(clean):
     base = investigate(clean).base
     problem, blocks = base.problem, [np.arange(len(cost)) for cost in base.cost.values()]
