@@ -216,15 +216,13 @@ def _hopeful(tried: Sequence[Screened], score: Score, stage: str) -> list[Screen
 
 
 def _reviewed(judge: "Judge", decision: Decision) -> Decision:
-    """Judge every effect again beside the others, until nothing changes; the last one found is judged so already."""
-    names = decision.chosen[:-1]
-    for _ in range(ROUNDS):
-        before = decision.chosen
-        for name in names:
+    """Judge every effect again beside the others; the last one found is judged so already, unless others change."""
+    found = decision.chosen
+    for name in found[:-1]:
+        decision = _judged_again(judge, decision, name)
+    if decision.chosen != found:
+        for name in decision.chosen:
             decision = _judged_again(judge, decision, name)
-        if decision.chosen == before:
-            break
-        names = decision.chosen
     return decision
 
 
