@@ -238,7 +238,7 @@ def _quiet(lost: Array, noise: float) -> bool:
 def _whiteness(column: Array) -> float:
     """Return a channel's noise near the Nyquist frequency in that of all that is fast: one if it is white."""
     top = np.diff(column, TOP) / np.sqrt(comb(2 * TOP, TOP))
-    return 1.4826 * float(np.median(np.abs(top))) / max(_spread(column), 1e-12) if len(top) else 0.0
+    return _deviation(top) / max(_spread(column), 1e-12) if len(top) else 0.0
 
 
 def _spread(column: Array) -> float:
@@ -247,4 +247,9 @@ def _spread(column: Array) -> float:
     if len(column) <= LOCAL:
         return 0.0
     left = (column - savgol_filter(column, LOCAL, ORDER))[LOCAL // 2 : -(LOCAL // 2)]
-    return 1.4826 * float(np.median(np.abs(left))) / float(np.sqrt(1.0 - centre))
+    return _deviation(left) / float(np.sqrt(1.0 - centre))
+
+
+def _deviation(noise: Array) -> float:
+    """Return the standard deviation about zero that a normal distribution of this median would have."""
+    return 1.4826 * float(np.median(np.abs(noise)))

@@ -8,6 +8,7 @@ import copy
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +41,7 @@ COG = "cog_longitudinal_offset"  # takes the place of l_f, which is then as weig
 WIDE = 3.0  # deviation of an effect's parameters, in their usual sizes
 
 
-@dataclass
+@dataclass(eq=False)
 class Found:
     """The best fit of a vehicle with some effects, over the stages that they touch; cost per stage's window."""
 
@@ -98,6 +99,8 @@ class Investigation:
             self.evidence[name] = self._timed(name)
         self.base = self._nominal(self._drawn(nominal, np.random.default_rng(seed)))
         self.seed = seed
+        self._held_out: WeakKeyDictionary[Found, dict[str, Array]] = WeakKeyDictionary()
+        self._noise_cost: WeakKeyDictionary[Found, dict[str, float]] = WeakKeyDictionary()
         self.noise_errors = self.expected(self.base)
         self.floor = self._squares(self.noise_errors)
         self.folds = self._deal(folds)
@@ -307,11 +310,11 @@ class Investigation:
         """Return the scores summed over the stages."""
         return summed(self.scores(base).values())
 
-    def add(self, base: Found, screened: Screened) -> Found:
+    def add(self, base: Found, name: str, vehicle: Vehicle) -> Found:
         """Fit a vehicle with an effect more than a fitted one has, over the stages that they touch."""
-        effects = base.effects | {screened.name}
-        stages = self.touched(screened.vehicle, effects)
-        return self._fit(effects, screened.vehicle, self._start(base, stages), REFINE, stages)
+        effects = base.effects | {name}
+        stages = self.touched(vehicle, effects)
+        return self._fit(effects, vehicle, self._start(base, stages), REFINE, stages)
 
     def converged(self, found: Found) -> Found:
         """Return a fit carried on to its end."""
@@ -335,7 +338,9 @@ class Investigation:
 
     def noise_cost(self, found: Found) -> dict[str, float]:
         """Return the cost per stage that sensors' noise alone would leave if a fitted vehicle were right."""
-        return self._squares(self.expected(found))
+        if found not in self._noise_cost:
+            self._noise_cost[found] = self._squares(self.expected(found))
+        return self._noise_cost[found]
 
     def _squares(self, errors: Mapping[str, Array]) -> dict[str, float]:
         return {name: float(((part / self.sigma[name][:, None]) ** 2).sum()) for name, part in errors.items()}
@@ -375,9 +380,11 @@ class Investigation:
 
     def held_out(self, found: Found) -> dict[str, Array]:
         """Return the cost of every window under parameters that have not seen its fold, per stage."""
-        names = list(found.cost)
-        cost = found.problem.held_out(found.fit, [[fold[name] for name in names] for fold in self.folds])
-        return dict(zip(names, cost, strict=True))
+        if found not in self._held_out:
+            names = list(found.cost)
+            cost = found.problem.held_out(found.fit, [[fold[name] for name in names] for fold in self.folds])
+            self._held_out[found] = dict(zip(names, cost, strict=True))
+        return self._held_out[found]
 
     def errors(self, found: Found) -> dict[str, Array]:
         """Return simulated − measured (T + 1, C, W) per stage under a fit as it is."""

@@ -6,7 +6,7 @@ takes its place.
 """
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -107,8 +107,8 @@ def name_effects(
     cost = investigation.held_out(base)
     judge = Judge(investigation, np.random.default_rng(seed), cost)
     scores = investigation.scores(base)
-    decision = Decision({}, base, cost, dict(investigation.floor), summed(scores.values()))
-    decision.excess.append(excess(investigation, cost, decision.noise))
+    first = [excess(investigation, cost, investigation.floor)]
+    decision = Decision({}, base, cost, investigation.floor, summed(scores.values()), excess=first)
     for number in range(ROUNDS):
         if number:
             scores = investigation.scores(decision.found)
@@ -139,8 +139,8 @@ def _changed(investigation: Investigation, decision: Decision, kept: dict[str, l
     """Return the decision with other effects; a vehicle that is far off passes on too much noise: the least counts."""
     cost, passed = {**decision.cost, **investigation.held_out(found)}, investigation.noise_cost(found)
     noise = {stage: min(most, passed.get(stage, most)) for stage, most in investigation.floor.items()}
-    decision.excess.append(excess(investigation, cost, noise))
-    return replace(decision, kept=kept, found=found, cost=cost, noise=noise)
+    left = [*decision.excess, excess(investigation, cost, noise)]
+    return replace(decision, kept=kept, found=found, cost=cost, noise=noise, excess=left)
 
 
 def _deaf(investigation: Investigation, decision: Decision, best: Found) -> bool:
@@ -174,7 +174,7 @@ def _round(
     shown = [each for each in tried if each is not None]
     hopeful = {each.name: each for name, score in scores.items() for each in _hopeful(shown, score, name)}
     scored = [
-        judge.score(name, investigation.add(current, each), decision.cost, decision.noise)
+        judge.score(name, investigation.add(current, name, each.vehicle), decision.cost, decision.noise)
         for name, each in hopeful.items()
     ]
     most = max((row.gain for row in scored), default=0.0)
@@ -231,10 +231,10 @@ def _judged_again(judge: "Judge", decision: Decision, name: str) -> Decision:
     investigation = judge.investigation
     less = _carried(investigation, investigation.without(decision.found, name))
     others = {other: rows for other, rows in decision.kept.items() if other != name}
-    without = _changed(investigation, replace(decision, excess=[]), others, less)
+    without = _changed(investigation, decision, others, less)
     own = judge.score(name, decision.found, without.cost, without.noise)
     if not own.wanted:
-        return replace(without, excess=[*decision.excess, *without.excess])
+        return without
     rivals = [_instead(judge, without, row) for row in decision.kept[name][1:] if close(row) and row.name not in others]
     sound = [rival for rival in rivals if rival.wanted and not _deaf(investigation, without, rival.found)]
     rows = judge.ranked([own, *sound], without.cost)
@@ -248,7 +248,7 @@ def _instead(judge: "Judge", without: Decision, rival: Scored) -> Scored:
     """Return a rival of an effect, fitted and judged beside all others."""
     investigation, effect = judge.investigation, rival.found.vehicle.effects[rival.name]
     vehicle = investigation.joined(without.found.vehicle, rival.name, effect)
-    found = investigation.add(without.found, Screened(rival.name, vehicle, rival.gain, ""))
+    found = investigation.add(without.found, rival.name, vehicle)
     return judge.score(rival.name, _carried(investigation, found), without.cost, without.noise)
 
 
@@ -323,7 +323,12 @@ def _form(vehicle: Vehicle, parameter: str, value: float) -> float:
 
 def excess(investigation: Investigation, cost: Mapping[str, Array], noise: Mapping[str, float]) -> float:
     """Return the cost beyond what the sensors' noise alone would leave; wild windows count up to a limit."""
-    return sum(max(0.0, part) for part in excesses(investigation, cost, noise).values())
+    return total(excesses(investigation, cost, noise).values())
+
+
+def total(parts: Iterable[float]) -> float:
+    """Return the sum of some stages' excesses; one below zero makes up for no other."""
+    return sum(max(0.0, part) for part in parts)
 
 
 def excesses(investigation: Investigation, cost: Mapping[str, Array], noise: Mapping[str, float]) -> dict[str, float]:
@@ -361,7 +366,7 @@ class Judge:
             excesses(self.investigation, {stage: part[stage] for stage in stages}, noise)
             for part in (before, cost, self.first)
         ]
-        had, left, first = (sum(max(0.0, each) for each in part.values()) for part in parts)
+        had, left, first = (total(part.values()) for part in parts)
         least = 0.001 * sum(noise[stage] for stage in stages)  # so small an excess is noise itself
         share, worth = (had - left) / max(had, least), (had - left) / max(first, least)
         most = max(part / noise[stage] for stage, part in parts[0].items())

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from racerl.gap.investigation import Found, Investigation, Screened, with_effect
+from racerl.gap.investigation import Found, Investigation, with_effect
 from racerl.gap.name import WORTH, Judge, Scored, excess
 from racerl.vehicle.effects import Effect
 from racerl.vehicle.effects._fading import Fading
@@ -87,8 +87,7 @@ def weights(found: Found, effect: str) -> dict[str, float]:
 
 def _with(investigation: Investigation, base: Found, name: str, effect: Effect) -> Found:
     """Return the fit with a learned effect more, carried on to its end."""
-    screened = Screened(name, with_effect(base.vehicle, name, effect), 0.0, "")
-    return investigation.converged(investigation.add(base, screened))
+    return investigation.converged(investigation.add(base, name, with_effect(base.vehicle, name, effect)))
 
 
 def _step(judge: Judge, scored: Scored, found: Found, kept: bool) -> dict[str, Any]:

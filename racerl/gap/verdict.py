@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from racerl.gap.investigation import Investigation
-from racerl.gap.name import REAL, Decision, close, equals, excesses
+from racerl.gap.name import REAL, Decision, close, equals, excesses, total
 from racerl.gap.score import Score
 
 CHANCE = 5.0  # deviations of the noise's own cost, a χ², below which an excess may be chance
@@ -60,8 +60,8 @@ def judge(investigation: Investigation, decision: Decision) -> Verdict:
         reason = f"{' and '.join(effects)} helps, but leaves {left / first:.0%} of the excess in the {stage} stage"
         return Verdict("unknown", effects, (), blind, reason)
     touched = investigation.touched(decision.found.vehicle, frozenset(effects))  # elsewhere an excess is chance
-    total, rest = (sum(max(0.0, parts[stage]) for stage in touched) for parts in (before, after))
-    share = 1.0 - rest / max(total, 1e-9)
+    had, rest = (total(parts[stage] for stage in touched) for parts in (before, after))
+    share = 1.0 - rest / max(had, 1e-9)
     if share < CREDIBLE and not any(_coarse(investigation, decision, stage, after[stage]) for stage in touched):
         reason = f"{' and '.join(effects)} helps, but explains only {share:.0%} of a small excess"
         return Verdict("under_excited", (), (), blind, reason)
@@ -105,7 +105,7 @@ def _may_stay(investigation: Investigation, decision: Decision, stage: str) -> f
 
 def _coarse(investigation: Investigation, decision: Decision, stage: str, left: float) -> bool:
     """Return whether what is left in a stage cannot be measured in noise: real cars, sensors that were filtered."""
-    return investigation.evidence[stage].filtered and left > COARSE * decision.noise[stage]
+    return left > COARSE * decision.noise[stage] and investigation.evidence[stage].filtered
 
 
 def counted(investigation: Investigation, stage: str) -> int:

@@ -320,7 +320,7 @@ def test_effects_are_judged_again_beside_those_found_after_them(monkeypatch, sha
         without=lambda found, name: fit(found.names - {name}),
         held_out=lambda found: found.cost,
         joined=lambda vehicle, name, effect: None,
-        add=lambda base, screened: fit(base.names | {screened.name}),
+        add=lambda base, name, vehicle: fit(base.names | {name}),
         converged=lambda found: found,
     )
     judge = SimpleNamespace(investigation=investigation, score=score, ranked=ranked)
@@ -451,10 +451,7 @@ def test_effects_that_are_one_in_a_log_are_rivals(monkeypatch):
         for name, share, behind in (("steering_offset", 0.9, 0.0), ("camber_thrust", 0.8, 1.0))
     ]
     twin = SimpleNamespace(name="steering_sensor_offset", explained=0.8, behind=-0.5, clear=True, size=1)
-    for behind, kind in (
-        (-0.5, "ambiguous"),
-        (9.0, "named"),
-    ):  # bounds may keep a twin away: it is the other one's turn
+    for behind, kind in ((-0.5, "ambiguous"), (9.0, "named")):  # its bounds may keep a twin away
         twin.behind = behind
         found = SimpleNamespace(vehicle=None)
         kept = {"steering_offset": [*rows, twin]}

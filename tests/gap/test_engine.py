@@ -270,7 +270,7 @@ def test_the_refit_reaches_the_noise_from_a_vehicle_that_is_off(clean):
 def test_a_displaced_centre_of_gravity_is_known_no_better_than_it_was_weighed():
     ahead = drive(f"+vehicle/effect={COG}", f"vehicle.effects.{COG}.offset=0.03")
     investigation = investigate(ahead, COG)
-    found = investigation.add(investigation.base, investigation.screen(investigation.base, COG))
+    found = investigation.add(investigation.base, COG, investigation.screen(investigation.base, COG).vehicle)
     weighed = next(unknown.sigma for unknown in investigation.unknowns if unknown.name == "l_f")
     assert found.theta[f"effects.{COG}.offset"] == pytest.approx(0.03, abs=0.002)
     assert weighed < investigation.deviations(found)[f"effects.{COG}.offset"] < 1.5 * weighed
