@@ -29,6 +29,7 @@ Array = NDArray[np.float64]
 OWN_SPREAD = 0.5  # deviation of own initial states, in their spread over the windows
 MEMORY_STEP = 1e-3  # of a time constant, to see how it leads own states
 FIXED = 1e-6  # deviation of own initial states that the drive so far tells
+RISE, FALL = 8.0, 4.0  # of the damping after a step that does not help, and after one that does at once
 WORST = 1e8  # damping at which no step helps any more
 SETTLING, ENOUGH = 4, 0.01  # most steps of initial states alone; share of its cost that one of them must take
 HELD_DAMPING = 1e-2  # of the step to a fold's parameters, at first
@@ -295,36 +296,47 @@ class Problem:
             if initial is not None:
                 stage.take(initial[i])
         vector = np.array([theta[name] for name in self.names])
-        lines = self._lines(work, vector)
-        at = self._total_loss(vector, lines), lines
+        at = self._at_point(work, vector)
         damping, converged = 1e-3, False
         for _ in range(iterations):
+            factor = 1.0 / FALL
             while True:
-                trial, moves = self._step(work, at[1], vector, damping)
-                before = [stage.initial for stage in work]
-                for stage, move in zip(work, moves, strict=True):
-                    if stage.remembers:
-                        stage.begin(self._named(trial), stage.initial + move, stage.initial)
-                    else:
-                        stage.initial = stage.initial + move
-                lines = self._lines(work, trial)
-                there = self._total_loss(trial, lines), lines
-                if there[0] <= at[0]:
+                trial, there = self._tried(work, at, vector, damping)
+                if there is not None:
                     break
-                for stage, kept in zip(work, before, strict=True):
-                    stage.initial = kept
-                damping *= 8.0
+                damping, factor = damping * RISE, 1.0
                 if damping > WORST:
                     return self._result(work, vector, at[1], True)
             gain = (at[0] - there[0]) / max(at[0], 1e-300)
-            vector, at, damping = trial, there, max(damping / 8.0, 1e-7)
+            vector, at, damping = trial, there, max(damping * factor, 1e-7)
             if gain < tolerance:
                 converged = True
                 break
         return self._result(work, vector, at[1], converged)
 
-    def _lines(self, work: Sequence["_Work"], vector: Array) -> list[Linear]:
-        return [stage.linearise(self._named(vector)) for stage in work]
+    def _tried(
+        self, work: Sequence["_Work"], at: tuple[float, list[Linear]], vector: Array, damping: float
+    ) -> tuple[Array, tuple[float, list[Linear]] | None]:
+        """Take a damped step; return θ and what is there, or None, with the step taken back, if that is no better."""
+        trial, moves = self._step(work, at[1], vector, damping)
+        before = [stage.initial for stage in work]
+        for stage, move in zip(work, moves, strict=True):
+            if stage.remembers:
+                stage.begin(self._named(trial), stage.initial + move, stage.initial)
+            else:
+                stage.initial = stage.initial + move
+        costs = (stage.losses(self._named(trial)) for stage in work)
+        if sum(costs, self._prior(trial)) <= at[0]:  # a fifth of the work of the gradients
+            there = self._at_point(work, trial)
+            if there[0] <= at[0]:
+                return trial, there
+        for stage, kept in zip(work, before, strict=True):
+            stage.initial = kept
+        return trial, None
+
+    def _at_point(self, work: Sequence["_Work"], vector: Array) -> tuple[float, list[Linear]]:
+        lines = [stage.linearise(self._named(vector)) for stage in work]
+        return self._total_loss(vector, lines), lines
 
     def _named(self, vector: Array) -> dict[str, float]:
         return dict(zip(self.names, vector.tolist(), strict=True))
@@ -422,19 +434,20 @@ class Problem:
             damping = HELD_DAMPING
             while True:  # until the step spoils the windows that it was made from no longer
                 trained = self._at(fit, self._moved(H, -g, self._vector(fit), damping), seen)
-                after = sum(float(loss(work.squares({}), fit.lines[i].usual).sum()) for i, _, work in trained)
+                after = sum(float(loss(cost, fit.lines[i].usual).sum()) for i, _, _, cost in trained)
                 if after < SPOILT * before or damping > WORST:
                     break
                 damping *= 30.0
-            yield from self._at(fit, self._moved(H, -g, self._vector(fit), damping), fold)
+            held = self._at(fit, self._moved(H, -g, self._vector(fit), damping), fold)
+            yield from ((i, mask, work) for i, mask, work, _ in held)
 
     def _vector(self, fit: Fit) -> Array:
         return np.array([fit.theta[name] for name in self.names])
 
     def _at(
         self, fit: Fit, moved: Array, masks: Sequence[NDArray[np.bool_]]
-    ) -> Iterator[tuple[int, NDArray[np.bool_], "_Work"]]:
-        """Yield (stage, windows, work) for some windows at other parameters, initial states following."""
+    ) -> Iterator[tuple[int, NDArray[np.bool_], "_Work", Array]]:
+        """Yield (stage, windows, work, cost) for some windows at other parameters, initial states following."""
         step = moved - self._vector(fit)
         theta = self._named(moved)
         for i, (stage, line, mask) in enumerate(zip(self.stages, fit.lines, masks, strict=True)):
@@ -445,8 +458,7 @@ class Problem:
                 start[work.rows] += line.follow(step[self._places(stage)], 0.0)[:, mask]
                 for row in stage.memory:
                     kept[row] = start[row] = work.initial[row]
-                work.begin({}, kept, start)
-                yield i, mask, work
+                yield i, mask, work, work.begin({}, kept, start)
 
     def covariance(self, fit: Fit, blocks: Sequence[NDArray[np.int64]]) -> Array:
         """Return the covariance of θ (N, N), robust against errors that are alike within blocks of windows.
@@ -504,7 +516,7 @@ class _Work:
         self._shifts = problem.shifts(theta)
         self.rest = self.initial[self.rows]
         self._began = dict(theta)
-        self.usual: float | None = None  # cost of a window, where the fit began
+        self.usual = 0.0  # cost of a window, where the fit began
         self.precision = np.array([self._precision(states[row], self.initial[row]) for row in self.rows])
 
     def _cut(self, theta: Mapping[str, float]) -> Windows:
@@ -547,8 +559,7 @@ class _Work:
         cost = raw.cost + (away**2 * self.precision).sum(axis=1)
         if not np.isfinite(parts.H).all():
             cost = np.full_like(cost, np.inf)
-        if self.usual is None:
-            self.usual = raw.usual
+        self.usual = self.usual or raw.usual
         return replace(
             raw, cost=cost, usual=self.usual, xx=raw.xx + np.diag(self.precision), x=raw.x + away * self.precision
         )
@@ -587,14 +598,15 @@ class _Work:
         step[self.rows] = line.follow(moved, damping)
         return step
 
-    def begin(self, theta: Mapping[str, float], *initials: Array) -> None:
-        """Start every window from the initial state that fits it best."""
+    def begin(self, theta: Mapping[str, float], *initials: Array) -> Array:
+        """Start every window from the initial state that fits it best; return the cost per window (W,)."""
         costs = []
         for initial in initials:
             self.initial = initial
-            costs.append(self.squares(theta) + (self._away() ** 2 * self.precision).sum(axis=1))
-        best = np.argmin(np.nan_to_num(costs, nan=np.inf), axis=0)
-        self.initial = np.choose(best, initials)
+            costs.append(self.cost(theta))
+        known = np.nan_to_num(costs, nan=np.inf)
+        self.initial = np.choose(np.argmin(known, axis=0), initials)
+        return known.min(axis=0)
 
     def settled(self) -> Array:
         """Return the cost per window once every initial state has taken its own steps, as long as they help."""
@@ -613,6 +625,16 @@ class _Work:
         windows = replace(self.windows, initial=self.initial + self.drift(theta)[0])
         shown = self.problem.rollout.predict(self.problem.parameters(theta), windows, self.problem.threads)
         return shown - windows.measured
+
+    def losses(self, theta: Mapping[str, float]) -> float:
+        """Return the summed loss of the windows, n as where the fit began; infinite where one blew up."""
+        with np.errstate(all="ignore"):
+            total = float(loss(self.cost(theta), self.usual).sum())
+        return total if np.isfinite(total) else np.inf
+
+    def cost(self, theta: Mapping[str, float]) -> Array:
+        """Return the cost per window (W,), as the initial states are."""
+        return self.squares(theta) + (self._away() ** 2 * self.precision).sum(axis=1)
 
     def squares(self, theta: Mapping[str, float]) -> Array:
         """Return the summed squared errors over the noise (W,), as the initial states are."""

@@ -226,6 +226,22 @@ def test_the_loss_counts_usual_windows_by_their_cost_and_others_by_its_root():
     assert farther == pytest.approx(2.0 * far, rel=1e-2)
 
 
+def test_steps_that_do_not_help_cost_no_gradients(clean, monkeypatch):
+    investigation = investigate(clean, "yaw_damping")
+    counts = {"linearise": 0, "losses": 0}
+    for name in counts:
+
+        def counted(work, theta, name=name, whole=getattr(_Work, name)):
+            counts[name] += 1
+            return whole(work, theta)
+
+        monkeypatch.setattr(_Work, name, counted)
+    far = replace_values(investigation.vehicle, {"yaw_inertia": 0.05, "front.p_Ky1": 3.0, "rear.p_Ky1": 1.0})
+    before, after = (sum(investigation._fit(frozenset(), far, None, n, ["chassis"]).cost["chassis"]) for n in (0, 6))
+    assert after < 0.5 * before
+    assert counts["linearise"] == 1 + 1 + 6 < counts["losses"]
+
+
 def test_every_window_begins_where_it_fits_best(clean):
     (stage,) = inertia_problem(clean).stages
     work = _Work(stage, {"yaw_inertia": 0.1}, None)

@@ -1,6 +1,6 @@
 """The motor brakes by itself while the command is below the wheel speed.
 
-Formula: ω̇ ← ω̇ − c ω tanh(e/w), e = ω − ω_ref where positive: the demand e calls on the braking up to its limit c ω.
+Formula: ω̇ ← ω̇ − c ω tanh(e/w), e = max(ω − ω_ref, 0): the demand e calls on the braking up to its limit c ω.
 Source: generator torque of a shorted motor, proportional to speed.
 In data: slowing down starts steeper at high speed than the first-order lag foretells.
 Excited by: speed steps down from several speeds.
@@ -10,7 +10,7 @@ Confused with: drive_brake_asymmetry (not with speed).
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from racerl.vehicle.effects import SMOOTH_SPEED, Effect
+from racerl.vehicle.effects import Effect
 from racerl.vehicle.ops import Ops, Scalar
 from racerl.vehicle.parameter import parameter
 
@@ -28,6 +28,5 @@ class RegenBraking(Effect):
     def drive_rate(self, rate: Scalar, course: "Course", ops: Ops) -> Scalar:
         """Return ω̇ − c ω while braking."""
         speed, reference, _ = course.drive
-        demand = speed - reference
-        braking = 0.5 * (1.0 + ops.tanh(demand / SMOOTH_SPEED))
-        return rate - self.rate * speed * ops.tanh(demand / self.reach) * braking
+        demand = ops.maximum(speed - reference, 0.0)
+        return rate - self.rate * speed * ops.tanh(demand / self.reach)
