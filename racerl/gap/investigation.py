@@ -48,7 +48,7 @@ class Found:
     effects: Names
     vehicle: Vehicle  # with the fitted values
     theta: dict[str, float]
-    initial: dict[str, Array]
+    initial: dict[str, dict[str, Array]]  # of every stage's states
     cost: dict[str, Array]
     fit: Fit
     problem: Problem
@@ -149,9 +149,8 @@ class Investigation:
         likely = min((self._refit(vehicle, self._sampled(self.evidence)) for vehicle in starts), key=self._loss)
         drawn = replace_values(self.vehicle, likely.fit.theta)  # what no stage tells stays as configured
         found = min((self._refit(vehicle) for vehicle in (self.vehicle, drawn)), key=self._loss)
-        for name, evidence in self.evidence.items():
-            stage = next(s for s in found.problem.stages if s.evidence is evidence)
-            left = (stage.errors(found.theta, found.initial[name]) ** 2).mean(axis=(0, 2))
+        for name, errors in self.errors(found).items():
+            left = (errors**2).mean(axis=(0, 2))
             self.noise[name] = np.minimum(self.noise[name], np.sqrt(left))  # local polynomials miss fast motion
             self.sigma[name] = np.sqrt(self.noise[name] ** 2 + SHARE**2 * left)
         return self._fit(frozenset(), found.vehicle, found, NOMINAL)
@@ -191,9 +190,7 @@ class Investigation:
             unknowns,
         )
         table = {name: float(value) for name, value in values(vehicle).items()}
-        initial = None if start is None else [start.initial[name] for name in names]
-        if initial is not None and index is not None:
-            initial = [part[:, index[name]] for name, part in zip(names, initial, strict=True)]
+        initial = None if start is None else [_begun(stage, start.initial, index) for stage in problem.stages]
         chosen = None if index is None else [index[name] for name in names]
         fit = problem.fit({n: table[n] for n in problem.names}, initial, chosen, iterations)
         fitted = replace_values(vehicle, fit.theta)
@@ -201,7 +198,10 @@ class Investigation:
             effects,
             fitted,
             {name: float(value) for name, value in values(fitted).items()},
-            dict(zip(names, fit.initial, strict=True)),
+            {
+                name: dict(zip(stage.rollout.vehicle.states, rows, strict=True))
+                for name, stage, rows in zip(names, problem.stages, fit.initial, strict=True)
+            },
             dict(zip(names, fit.cost, strict=True)),
             fit,
             problem,
@@ -303,7 +303,7 @@ class Investigation:
             problem = StageProblem.of(
                 evidence, self.kernels[name], base.vehicle, unknowns, self.sigma[name], self.threads, whole=True
             )
-            found[name] = score(problem, unknowns, base.theta, start.initial[name])
+            found[name] = score(problem, unknowns, base.theta, _begun(problem, start.initial, None))
         return found
 
     def score(self, base: Found) -> Score:
@@ -431,6 +431,16 @@ class Investigation:
     def unfitted(self) -> Found:
         """Return the vehicle as configured, with initial states fitted only."""
         return self._fit(frozenset(), self.vehicle, self.base, REFINE, free=())
+
+
+def _begun(
+    stage: StageProblem, initial: Mapping[str, Mapping[str, Array]], index: Mapping[str, NDArray[np.int64]] | None
+) -> Array:
+    """Return where a stage's windows, or some of them, began in an earlier fit (S, W); nan for states it lacked."""
+    name = stage.evidence.stage.name
+    known, lacking = initial[name], np.full(len(stage.evidence.start), np.nan)
+    rows = np.array([known.get(state, lacking) for state in stage.rollout.vehicle.states])
+    return rows if index is None else rows[:, index[name]]
 
 
 def with_effect(vehicle: Vehicle, name: str, effect: Effect) -> Vehicle:

@@ -40,7 +40,8 @@ EXACT = 0.01  # the same, where it has one
 DEAF = 0.5  # share of a gain that may be noise of measured inputs that is passed on no longer
 WORTH = 0.04  # share of the first excess, and of what is left of it before the round, that an effect must explain
 REAL = 0.05  # excess cost over the noise's that is real: the noise itself is known to a few percent
-ALL, SMALL = 0.85, 0.01  # shares of what is left, and of the first excess, that are not an earlier effect's wrong form
+ALL, SMALL = 0.75, 0.01  # shares of what is left, and of the first excess, that are not an earlier effect's wrong form
+LIKE = 0.5  # |cosine| with an effect found before, from which on a small one may mend its form
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,7 @@ class Scored:
     explained: float
     worth: float
     before: float
+    like: float = 0.0  # largest |cosine| with the effects beside it
     behind: float = 0.0
 
     @property
@@ -76,8 +78,11 @@ class Scored:
 
     @property
     def wanted(self) -> bool:
-        """Whether the effect is needed: a small one beside a large one has to explain all that the large one leaves."""
-        small = self.explained > ALL and self.worth > SMALL and self.before > REAL
+        """Whether the effect is needed.
+
+        A small one beside a large one has to explain most of what that one leaves, and not look like it.
+        """
+        small = self.explained > ALL and self.worth > SMALL and self.before > REAL and self.like < LIKE
         return self.clear and self.explained >= WORTH and (self.worth >= WORTH or small)
 
 
@@ -105,10 +110,11 @@ def name_effects(
     """Return the effects that held-out windows ask for."""
     base = investigation.base
     cost = investigation.held_out(base)
-    judge = Judge(investigation, np.random.default_rng(seed), cost)
     scores = investigation.scores(base)
+    score = summed(scores.values())
+    judge = Judge(investigation, np.random.default_rng(seed), cost, score)
     first = [excess(investigation, cost, investigation.floor)]
-    decision = Decision({}, base, cost, investigation.floor, summed(scores.values()), excess=first)
+    decision = Decision({}, base, cost, investigation.floor, score, excess=first)
     for number in range(ROUNDS):
         if number:
             scores = investigation.scores(decision.found)
@@ -193,7 +199,8 @@ def _shortlist(scores: Mapping[str, Score], lost: Collection[str]) -> list[str]:
     """
     names: list[str] = []
     for stage, score in scores.items():
-        gains = {name: gain for name, gain in score.gains().items() if gain > HOPELESS}
+        least = 0.0 if stage in lost else HOPELESS
+        gains = {name: gain for name, gain in score.gains().items() if gain > least}
         names += sorted(gains, key=lambda name: -gains[name])[: None if stage in lost else SHORTLIST]
         if stage == "chassis" and gains:  # the score knows one place only
             names += [name for name in score.names if placed(name)]
@@ -356,6 +363,7 @@ class Judge:
     investigation: Investigation
     generator: np.random.Generator
     first: Mapping[str, Array]  # costs without any effect
+    nominal: Score = Score([], np.zeros((0, 0)), np.zeros(0))  # there, of the catalogue's effects
 
     def score(self, name: str, found: Found, before: Mapping[str, Array], noise: Mapping[str, float]) -> Scored:
         """Return what a fit with an effect more gains upon the costs before it, of which noise has its share."""
@@ -370,7 +378,8 @@ class Judge:
         least = 0.001 * sum(noise[stage] for stage in stages)  # so small an excess is noise itself
         share, worth = (had - left) / max(had, least), (had - left) / max(first, least)
         most = max(part / noise[stage] for stage, part in parts[0].items())
-        return Scored(name, found, cost, gain, error, self.chance(before, cost), share, worth, most)
+        like = self.nominal.likeness(name, found.effects - {name})
+        return Scored(name, found, cost, gain, error, self.chance(before, cost), share, worth, most, like)
 
     def ranked(self, scored: Sequence[Scored], before: Mapping[str, Array]) -> list[Scored]:
         """Return candidates, best first: by their gains, but of those alike the one that explains most first."""

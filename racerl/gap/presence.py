@@ -45,6 +45,9 @@ class Present(Effect):
         steering, drive = self._mix_all((delta_ref, drive_ref), self.effect.command(delta_ref, drive_ref, own, ops))
         return steering, drive
 
+    def link(self, delta: Scalar, own: Mapping[str, Scalar], ops: Ops) -> Scalar:  # noqa: D102
+        return self._mix_all([delta], [self.effect.link(delta, own, ops)])[0]
+
     def steer(self, delta: Scalar, own: Mapping[str, Scalar], ops: Ops) -> Scalar:  # noqa: D102
         return self._mix_all([delta], [self.effect.steer(delta, own, ops)])[0]
 

@@ -31,6 +31,7 @@ MEMORY_STEP = 1e-3  # of a time constant, to see how it leads own states
 FIXED = 1e-6  # deviation of own initial states that the drive so far tells
 RISE, FALL = 8.0, 4.0  # of the damping after a step that does not help, and after one that does at once
 WORST = 1e8  # damping at which no step helps any more
+WAYS = (0.1, 1.0, 10.0)  # other dampings of initial states' steps
 SETTLING, ENOUGH = 4, 0.01  # most steps of initial states alone; share of its cost that one of them must take
 HELD_DAMPING = 1e-2  # of the step to a fold's parameters, at first
 SPOILT = 1.02  # times the cost of the windows that a step was made from, above which it went too far
@@ -294,7 +295,7 @@ class Problem:
         work = [_Work(stage, theta, None if index is None else index[i]) for i, stage in enumerate(self.stages)]
         for i, stage in enumerate(work):
             if initial is not None:
-                stage.take(initial[i])
+                stage.take(theta, initial[i])
         vector = np.array([theta[name] for name in self.names])
         at = self._at_point(work, vector)
         damping, converged = 1e-3, False
@@ -318,13 +319,10 @@ class Problem:
         self, work: Sequence["_Work"], at: tuple[float, list[Linear]], vector: Array, damping: float
     ) -> tuple[Array, tuple[float, list[Linear]] | None]:
         """Take a damped step; return θ and what is there, or None, with the step taken back, if that is no better."""
-        trial, moves = self._step(work, at[1], vector, damping)
+        trial = self._step(at[1], vector, damping)
         before = [stage.initial for stage in work]
-        for stage, move in zip(work, moves, strict=True):
-            if stage.remembers:
-                stage.begin(self._named(trial), stage.initial + move, stage.initial)
-            else:
-                stage.initial = stage.initial + move
+        for stage, line in zip(work, at[1], strict=True):
+            stage.move(self._named(trial), line, (trial - vector)[self._places(stage.problem)], damping)
         costs = (stage.losses(self._named(trial)) for stage in work)
         if sum(costs, self._prior(trial)) <= at[0]:  # a fifth of the work of the gradients
             there = self._at_point(work, trial)
@@ -378,18 +376,12 @@ class Problem:
         moved: Array = np.clip(vector + step * self.scale, self.low, self.high)
         return moved
 
-    def _step(
-        self, work: Sequence["_Work"], lines: Sequence[Linear], vector: Array, damping: float
-    ) -> tuple[Array, list[Array]]:
-        """Return θ after a damped step, and what each stage's initial states move by."""
+    def _step(self, lines: Sequence[Linear], vector: Array, damping: float) -> Array:
+        """Return θ after a damped step."""
+        if not len(vector):
+            return vector
         H, g = self._total([line.reduced(damping) for line in lines])
-        g += (vector - self.mean) / self.scale**2
-        trial = self._moved(H, g, vector, damping) if len(vector) else vector
-        moves = [
-            stage.spread(line, (trial - vector)[self._places(stage.problem)], damping)
-            for stage, line in zip(work, lines, strict=True)
-        ]
-        return trial, moves
+        return self._moved(H, g + (vector - self.mean) / self.scale**2, vector, damping)
 
     def _places(self, stage: StageProblem) -> list[int]:
         """Return where the names of a stage stand in θ."""
@@ -537,9 +529,11 @@ class _Work:
         spread = FIXED if told else OWN_SPREAD * float(np.std(row)) + 1e-4
         return spread**-2
 
-    def take(self, initial: Array) -> None:
-        """Start from initial states of the car that were found before."""
+    def take(self, theta: Mapping[str, float], initial: Array) -> None:
+        """Start from states found before; from own ones, nan where unknown, if they fit better than the log so far."""
         self.initial[: len(STATE)] = initial[: len(STATE)]
+        if self.remembers:
+            self.begin(theta, self.initial, np.where(np.isnan(initial), self.initial, initial))
 
     def linearise(self, theta: Mapping[str, float]) -> Linear:
         """Return cost, H and g of every window."""
@@ -598,6 +592,21 @@ class _Work:
         step[self.rows] = line.follow(moved, damping)
         return step
 
+    def move(
+        self, theta: Mapping[str, float], line: Linear, moved: Array, damping: float, *, wait: bool = False
+    ) -> None:
+        """Take the initial states' step when θ moves by `moved`.
+
+        Where own states make the way rough, every window by itself takes whichever damping leads it lowest.
+        """
+        kept = self.initial
+        steps = [damping, *(WAYS if self.remembers else [])]
+        moves = [kept + self.spread(line, moved, each) for each in steps]
+        if self.remembers or wait:
+            self.begin(theta, *moves, kept)
+        else:
+            self.initial = moves[0]
+
     def begin(self, theta: Mapping[str, float], *initials: Array) -> Array:
         """Start every window from the initial state that fits it best; return the cost per window (W,)."""
         costs = []
@@ -612,8 +621,8 @@ class _Work:
         """Return the cost per window once every initial state has taken its own steps, as long as they help."""
         line = self.linearise({})
         for _ in range(SETTLING):
-            before, kept = line.cost, self.initial
-            self.begin({}, kept + self.spread(line, np.zeros(0), 0.0), kept)
+            before = line.cost
+            self.move({}, line, np.zeros(0), 0.0, wait=True)
             line = self.linearise({})
             if not (line.cost < (1.0 - ENOUGH) * before).any():
                 break

@@ -35,6 +35,13 @@ class Score:
         cosine: Array = self.H / np.outer(size, size)
         return cosine
 
+    def likeness(self, name: str, others: Iterable[str]) -> float:
+        """Return the largest |cosine| of an effect with some others, 0 with none."""
+        known = [self.names.index(other) for other in others if other in self.names]
+        if name not in self.names or not known:
+            return 0.0
+        return float(np.abs(self.cosines()[self.names.index(name), known]).max())
+
 
 def score(problem: StageProblem, unknowns: Sequence[Unknown], theta: Mapping[str, float], initial: Array) -> Score:
     """Return the score of all effects that the kernel knows and the vehicle lacks.

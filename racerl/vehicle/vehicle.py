@@ -71,8 +71,9 @@ class Forces(NamedTuple):
 
 
 class Servo(NamedTuple):
-    """An actuator at work: its state, its reference and the rate that it answers with."""
+    """An actuator at work: where it is, its state, its reference and the rate that it answers with."""
 
+    position: Scalar
     state: Scalar
     reference: Scalar
     rate: Scalar
@@ -234,7 +235,9 @@ class Vehicle:
             commands = effect.command(delta_ref, drive_ref, own, ops)
             delta_ref = delta_ref if isinstance(self.steering, Given) else commands[0]
             drive_ref = drive_ref if isinstance(self.drive, Given) else commands[1]
-        wheel_angle = self.steering.position(delta, delta_ref)
+        wheel_angle = servo_angle = self.steering.position(delta, delta_ref)
+        for effect in self.effects.values():
+            wheel_angle = effect.link(wheel_angle, own, ops)
         for effect in self.effects.values():
             wheel_angle = effect.steer(wheel_angle, own, ops)
         wheel_speed = self.drive.position(omega, drive_ref)
@@ -246,8 +249,8 @@ class Vehicle:
         forces = self.tyre_forces(slips, motion, ops)
         wrench = self.wrench(forces, motion, ops)
         traction = forces.F_xf + forces.F_xr
-        steering = Servo(delta, delta_ref, self.steering.rate(delta, delta_ref, traction, ops))
-        drive = Servo(omega, drive_ref, self.drive.rate(omega, drive_ref, traction, ops))
+        steering = Servo(servo_angle, delta, delta_ref, self.steering.rate(delta, delta_ref, traction, ops))
+        drive = Servo(wheel_speed, omega, drive_ref, self.drive.rate(omega, drive_ref, traction, ops))
         course = Course(motion, steady, forces, steering, drive)
         steering_rate, drive_rate = steering.rate, drive.rate
         for effect in self.effects.values():

@@ -16,7 +16,19 @@ from racerl.gap.evidence import Evidence, contradictory
 from racerl.gap.growth import growth, places
 from racerl.gap.investigation import Screened
 from racerl.gap.locate import _test
-from racerl.gap.name import EXACT, FORM, Decision, _changed, _deaf, _hopeful, _idle, _reviewed, equals, intervals
+from racerl.gap.name import (
+    EXACT,
+    FORM,
+    Decision,
+    Scored,
+    _changed,
+    _deaf,
+    _hopeful,
+    _idle,
+    _reviewed,
+    equals,
+    intervals,
+)
 from racerl.gap.plan import plan, telling
 from racerl.gap.problem import Unknown
 from racerl.gap.prove import explained
@@ -438,6 +450,18 @@ def test_a_name_must_explain_most_of_a_small_excess(monkeypatch, chosen, excess,
     decision = SimpleNamespace(chosen=chosen, kept={}, found=found, noise=noise, score=score)
     verdict = judge(investigation, decision)
     assert verdict.kind == kind and verdict.effects == (() if kind in ("under_excited", "none") else ("aero_drag",))
+
+
+def test_a_small_effect_beside_a_large_one_must_explain_what_is_left_and_not_look_like_it():
+    H = np.array([[4.0, -1.8, 0.0], [-1.8, 1.0, 0.0], [0.0, 0.0, 9.0]])
+    score = Score(["steering_saturation", "steering_nonlinearity", "aero_drag"], H, np.zeros(3))
+    assert score.likeness("steering_nonlinearity", ["steering_saturation"]) == pytest.approx(0.9)
+    assert score.likeness("aero_drag", ["steering_saturation"]) == score.likeness("aero_drag", []) == 0.0
+    small = Scored("steering_nonlinearity", None, {}, 90.0, 10.0, 0.0, explained=0.9, worth=0.02, before=1.0)
+    assert small.wanted and not dataclasses.replace(small, like=0.9).wanted
+    assert dataclasses.replace(small, like=0.9, worth=0.05).wanted
+    assert not dataclasses.replace(small, explained=0.5).wanted
+    assert not dataclasses.replace(small, error=40.0).wanted
 
 
 def test_effects_that_are_one_in_a_log_are_rivals(monkeypatch):

@@ -229,9 +229,9 @@ def test_the_loss_counts_usual_windows_by_their_cost_and_others_by_its_root():
 def test_steps_that_do_not_help_cost_no_gradients(clean, monkeypatch):
     investigation = investigate(clean, "yaw_damping")
     counts = {"linearise": 0, "losses": 0}
-    for name in counts:
+    for name, whole in (("linearise", _Work.linearise), ("losses", _Work.losses)):
 
-        def counted(work, theta, name=name, whole=getattr(_Work, name)):
+        def counted(work, theta, name=name, whole=whole):
             counts[name] += 1
             return whole(work, theta)
 
@@ -348,11 +348,11 @@ def test_a_small_effect_beside_a_large_one_is_named():
 
 @needs_compiler
 def test_what_is_left_by_a_name_is_excused_only_where_sensors_were_filtered(monkeypatch):
-    log = drive("+vehicle/effect=road_bank", "vehicle.effects.road_bank.bank=0.2")
-    investigation = investigate(log, "drive_split", "yaw_damping")
+    log = drive("+vehicle/effect=[steering_offset,viscous_drag]")
+    investigation = investigate(log, "viscous_drag")
     decision = name_effects(investigation, 0)
     monkeypatch.setattr("racerl.gap.verdict.COARSE", 0.1)
-    assert decision.chosen == ["drive_split"] and judge(investigation, decision).kind == "unknown"
+    assert decision.chosen == ["viscous_drag"] and judge(investigation, decision).kind == "unknown"
     monkeypatch.setattr(Evidence, "filtered", True)
     assert judge(investigation, decision).kind == "named"
 

@@ -155,6 +155,19 @@ def test_effects_in_numbers(name, parameters, state, command, row, expected):
     assert change(name, command, parameters, **state)[row] == pytest.approx(expected, rel=2e-3, abs=1e-9)
 
 
+@pytest.mark.parametrize("other", ["steering_gain", "steering_offset", "steering_gain_asymmetry"])
+@pytest.mark.parametrize("order", [1, -1])
+def test_play_lies_between_servo_and_linkage(other, order):
+    car = make_car(f"+vehicle/effect=[steering_backlash,{other}]", "vehicle.effects.steering_backlash.play=0.04")
+    car = dataclasses.replace(car, effects=dict(list(car.effects.items())[::order]))
+    wheel = car.states.index("steering_backlash.wheel")
+    for left, rate in ((0.1, 0.0), (0.09, 0.0), (0.05, 150.0 * 0.03), (0.16, -150.0 * 0.04)):  # servo at 0.1 ± 0.02 rad
+        state = states(car, v_x=3.0, omega=3.0, delta=0.1)
+        state[wheel] = left
+        got = car.derivative(state, torch.tensor([[0.1], [3.0]], dtype=torch.float64), TORCH)
+        assert float(got[wheel]) == pytest.approx(rate, abs=1e-9)
+
+
 def turn_rate(car: Vehicle, delta: float = 0.1, speed: float = 1.5) -> float:
     """Return the steady yaw rate in rad/s."""
     state = states(car, v_x=speed, omega=speed, delta=delta)
@@ -249,7 +262,7 @@ def test_play_has_two_sides():
     )
     for state, angle in ((came_from_left, 0.02), (came_from_right, -0.02)):
         own = {"steering_backlash.wheel": state[index]}
-        assert float(effect.steer(state[ROW["delta"]], own, TORCH)) == pytest.approx(angle, abs=1e-3)
+        assert float(effect.link(state[ROW["delta"]], own, TORCH)) == pytest.approx(angle, abs=1e-3)
 
 
 def test_a_second_order_servo_overshoots():

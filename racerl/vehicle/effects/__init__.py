@@ -53,6 +53,10 @@ class Effect:
         """Change the commands before they reach the actuators."""
         return delta_ref, drive_ref
 
+    def link(self, delta: Scalar, own: Mapping[str, Scalar], ops: Ops) -> Scalar:
+        """Return the angle that the servo passes on to the linkage."""
+        return delta
+
     def steer(self, delta: Scalar, own: Mapping[str, Scalar], ops: Ops) -> Scalar:
         """Change the road-wheel angle (rad) that the steering angle gives."""
         return delta

@@ -1,6 +1,6 @@
-"""Play in the linkage: the road wheels rest until the servo has crossed the gap.
+"""Play between servo and linkage: the road wheels rest until the servo has crossed the gap.
 
-Formula: δ_w stays within δ ± b/2 and moves only when pushed; a fast lag of 6 ms makes the push smooth.
+Formula: the linkage's angle stays within δ ± b/2 and moves only when pushed; a lag of 6 ms makes the push smooth.
 Source: the play operator of mechanics.
 In data: after each reversal of the steering, the yaw rate waits for a change of b of the measured angle.
 Excited by: slow steering to and fro about several angles, slalom.
@@ -29,14 +29,12 @@ class SteeringBacklash(Effect):
 
     states: ClassVar[tuple[str, ...]] = ("wheel",)
 
-    def steer(self, delta: Scalar, own: Mapping[str, Scalar], ops: Ops) -> Scalar:
-        """Return the road-wheel angle, no further than b/2 from δ."""
-        return self._pushed(own[self.key("wheel")], delta, ops)
+    def link(self, delta: Scalar, own: Mapping[str, Scalar], ops: Ops) -> Scalar:
+        """Return the angle where the linkage was left, no further than b/2 from δ."""
+        left = own[self.key("wheel")]
+        return ops.minimum(ops.maximum(left, delta - 0.5 * self.play), delta + 0.5 * self.play)
 
     def rates(self, course: "Course", ops: Ops) -> Sequence[Scalar]:
-        """Return the rate at which the pushed wheels move."""
-        wheel = course.motion.own[self.key("wheel")]
-        return (PUSH * (course.motion.delta - wheel),)
-
-    def _pushed(self, wheel: Scalar, delta: Scalar, ops: Ops) -> Scalar:
-        return ops.minimum(ops.maximum(wheel, delta - 0.5 * self.play), delta + 0.5 * self.play)
+        """Return the rate at which the pushed linkage moves."""
+        own = course.motion.own
+        return (PUSH * (self.link(course.steering.position, own, ops) - own[self.key("wheel")]),)
