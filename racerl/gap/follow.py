@@ -16,6 +16,7 @@ from racerl.vehicle.vehicle import STATE, Vehicle
 
 Array = NDArray[np.float64]
 AXES = len(STATE)
+ROWS = 500  # of a log in one call
 
 
 def follow(vehicle: Vehicle, evidence: Evidence) -> Array:
@@ -28,11 +29,15 @@ def follow(vehicle: Vehicle, evidence: Evidence) -> Array:
     f = vehicle.derivative(state, body[AXES : AXES + 2], ops)[AXES:]
     h = body[AXES + 2]
     step = casadi.solve(casadi.SX.eye(own) - h * casadi.jacobian(f, s), h * f)
-    rows = len(evidence.first)
-    advance = casadi.Function("advance", [s, body], [s + step]).mapaccum("follow", rows)
-    start = np.zeros(own)
-    after = np.asarray(advance(start, _measured(vehicle, evidence)))
-    return np.concatenate([start[:, None], after[:, :-1]], axis=1)
+    advance = casadi.Function("advance", [s, body], [s + step]).mapaccum("follow", ROWS)
+    measured = _measured(vehicle, evidence)
+    rows = measured.shape[1]
+    measured = np.pad(measured, ((0, 0), (0, -rows % ROWS)))  # by steps of no length
+    states = np.zeros((own, measured.shape[1] + 1))
+    for first in range(0, rows, ROWS):
+        part = slice(first, first + ROWS)
+        states[:, first + 1 : first + ROWS + 1] = advance(states[:, first], measured[:, part])
+    return states[:, :rows]
 
 
 def lagged(states: Array, evidence: Evidence, before: float, after: float) -> Array:

@@ -30,6 +30,7 @@ ROUNDS = 4
 RESAMPLES = 2000
 OUTER = 0.02  # share of the blocks on each side that count no more than their neighbours
 CLEAR = 3.0  # standard errors by which a gain must differ from zero
+SURE = 5.0  # the same, where the excess is no larger than the noise is known
 SAME = 2.0  # standard errors within which candidates explain alike
 BEHIND = 3.0  # standard errors that a rival may be behind
 EQUAL = 0.05  # share of the excess that a rival may explain less
@@ -37,7 +38,6 @@ PARAMETER = 0.01  # share of the excess that one more parameter must explain
 WILD, TYPICAL = 30.0, 10.0  # mean squared deviation of a wild window, and its cost in median ones
 FORM = 0.05  # deviation, as a share, between the parameters of an effect's forms where it has many (development logs)
 EXACT = 0.01  # the same, where it has one
-DEAF = 0.5  # share of a gain that may be noise of measured inputs that is passed on no longer
 WORTH = 0.04  # share of the first excess, and of what is left of it before the round, that an effect must explain
 REAL = 0.05  # excess cost over the noise's that is real: the noise itself is known to a few percent
 ALL, SMALL = 0.75, 0.01  # shares of what is left, and of the first excess, that are not an earlier effect's wrong form
@@ -80,10 +80,12 @@ class Scored:
     def wanted(self) -> bool:
         """Whether the effect is needed.
 
-        A small one beside a large one has to explain most of what that one leaves, and not look like it.
+        A small one beside a large one has to explain most of what that one leaves, and not look like it. Where the
+        excess is no larger than the noise is known, shares of it say nothing, and one effect has to gain the more.
         """
         small = self.explained > ALL and self.worth > SMALL and self.before > REAL and self.like < LIKE
-        return self.clear and self.explained >= WORTH and (self.worth >= WORTH or small)
+        sure = self.before < REAL and self.gain > SURE * self.error and self.found.effects == {self.name}
+        return sure or (self.clear and self.explained >= WORTH and (self.worth >= WORTH or small))
 
 
 @dataclass
@@ -119,7 +121,7 @@ def name_effects(
         if number:
             scores = investigation.scores(decision.found)
         scored = _round(judge, decision, scores, _within(on_progress, number))
-        while scored and scored[0].wanted and _deaf(investigation, decision, scored[0].found):
+        while scored and scored[0].wanted and _deaf(judge, decision, scored[0]):
             scored = judge.ranked(scored[1:], decision.cost)
         decision.rounds.append(scored)
         if not scored or not scored[0].wanted:
@@ -149,17 +151,14 @@ def _changed(investigation: Investigation, decision: Decision, kept: dict[str, l
     return replace(decision, kept=kept, found=found, cost=cost, noise=noise, excess=left)
 
 
-def _deaf(investigation: Investigation, decision: Decision, best: Found) -> bool:
+def _deaf(judge: "Judge", decision: Decision, best: Scored) -> bool:
     """Return whether a candidate gains by passing on less of the measured inputs' noise, not by knowing the car.
 
     Soft tyres that lag, and a time shift that takes the lag back, smooth what drives a slow car.
     """
-    noise = investigation.noise_cost(best)
-    had, left = (
-        sum(excesses(investigation, {stage: cost[stage] for stage in best.cost}, decision.noise).values())
-        for cost in ({**investigation.base.cost, **decision.found.cost}, best.cost)
-    )
-    return sum(decision.noise[stage] - noise[stage] for stage in noise) > DEAF * (had - left)
+    noise = judge.investigation.noise_cost(best.found)
+    passed = (judge.slope(stage, decision.cost[stage]) * (decision.noise[stage] - noise[stage]) for stage in noise)
+    return best.gain - sum(passed) < CLEAR * best.error
 
 
 def _within(on_progress: Callable[[str, float], None], number: int) -> Callable[[str, float], None]:
@@ -243,7 +242,7 @@ def _judged_again(judge: "Judge", decision: Decision, name: str) -> Decision:
     if not own.wanted:
         return without
     rivals = [_instead(judge, without, row) for row in decision.kept[name][1:] if close(row) and row.name not in others]
-    sound = [rival for rival in rivals if rival.wanted and not _deaf(investigation, without, rival.found)]
+    sound = [rival for rival in rivals if rival.wanted and not _deaf(judge, without, rival)]
     rows = judge.ranked([own, *sound], without.cost)
     kept = dict((rows[0].name, rows) if other == name else (other, kept) for other, kept in decision.kept.items())
     if rows[0].name == name:
@@ -425,3 +424,8 @@ class Judge:
         """
         n = wild(self.investigation, stage) / WILD
         return n * np.log1p(cost / n)
+
+    def slope(self, stage: str, cost: Array) -> float:
+        """Return the mean slope of the loss at some windows' costs."""
+        n = wild(self.investigation, stage) / WILD
+        return float((1.0 / (1.0 + cost / n)).mean())

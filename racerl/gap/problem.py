@@ -9,6 +9,7 @@ spin, by its root: they do not decide alone. Levenberg–Marquardt on the normal
 ρ'(c), initial states eliminated window by window.
 """
 
+import copy
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -113,7 +114,8 @@ class StageProblem:
 
     def shifts(self, theta: Mapping[str, float]) -> tuple[float, float]:
         """Return the shifts of both inputs, in s."""
-        first, second = self.evidence.stage.shifts(_with(self.vehicle, theta))
+        late = any(only_shifts(effect) for effect in self.vehicle.effects.values())
+        first, second = self.evidence.stage.shifts(_with(self.vehicle, theta) if late else self.vehicle)
         return float(first), float(second)
 
     @cached_property
@@ -131,8 +133,18 @@ class StageProblem:
 
     def parameters(self, theta: Mapping[str, float]) -> Array:
         """Return the kernel's parameters; its shifts are zero, since the inputs are shifted already."""
-        table = values(self.everything(theta))
-        return np.array([0.0 if n in SHIFTS else float(table[n]) for n in [*self.rollout.names, *self.rollout.given]])
+        place, found = self._parameters
+        found = found.copy()
+        for name, value in theta.items():
+            if inner(name) in place:
+                found[place[inner(name)]] = value
+        return found
+
+    @cached_property
+    def _parameters(self) -> tuple[dict[str, int], Array]:
+        """The places of the kernel's parameters, and what they are in the vehicle as it is."""
+        names, table = [*self.rollout.names, *self.rollout.given], values(self.everything({}))
+        return {name: i for i, name in enumerate(names)}, np.array([float(table.get(name, 0.0)) for name in names])
 
     def everything(self, theta: Mapping[str, float]) -> Vehicle:
         """Return the kernel's vehicle with θ's values."""
@@ -148,9 +160,14 @@ class StageProblem:
         windows = replace(self.windows(theta), initial=initial)
         return self.rollout.predict(self.parameters(theta), windows, self.threads) - windows.measured
 
-    def own_states(self, theta: Mapping[str, float]) -> Array:
-        """Return the effects' own states along the log (S − 8, R), led by the measured motion."""
-        car = self.evidence.stage.vehicle(_with(self.vehicle, theta))
+    def at(self, theta: Mapping[str, float]) -> "StageProblem":
+        """Return the stage's share at θ, of which nothing varies."""
+        return replace(self, names=(), vehicle=_with(self.vehicle, theta))
+
+    @cached_property
+    def own_states(self) -> Array:
+        """The effects' own states along the log (S − 8, R), led by the measured motion."""
+        car = self.evidence.stage.vehicle(self.vehicle)
         heard = dict(zip(car.states[len(STATE) :], follow(car, self.evidence), strict=True))
         silent = np.zeros(len(self.evidence.first))
         return np.array([heard.get(name, silent) for name in self.rollout.vehicle.states[len(STATE) :]])
@@ -425,26 +442,26 @@ class Problem:
             )
             damping = HELD_DAMPING
             while True:  # until the step spoils the windows that it was made from no longer
-                trained = self._at(fit, self._moved(H, -g, self._vector(fit), damping), seen)
+                moved = self._moved(H, -g, self._vector(fit), damping)
+                there = [stage.at(self._named(moved)) for stage in self.stages]
+                trained = self._begun(fit, moved, there, seen)
                 after = sum(float(loss(cost, fit.lines[i].usual).sum()) for i, _, _, cost in trained)
                 if after < SPOILT * before or damping > WORST:
                     break
                 damping *= 30.0
-            held = self._at(fit, self._moved(H, -g, self._vector(fit), damping), fold)
-            yield from ((i, mask, work) for i, mask, work, _ in held)
+            yield from ((i, mask, work) for i, mask, work, _ in self._begun(fit, moved, there, fold))
 
     def _vector(self, fit: Fit) -> Array:
         return np.array([fit.theta[name] for name in self.names])
 
-    def _at(
-        self, fit: Fit, moved: Array, masks: Sequence[NDArray[np.bool_]]
+    def _begun(
+        self, fit: Fit, moved: Array, there: Sequence[StageProblem], masks: Sequence[NDArray[np.bool_]]
     ) -> Iterator[tuple[int, NDArray[np.bool_], "_Work", Array]]:
         """Yield (stage, windows, work, cost) for some windows at other parameters, initial states following."""
         step = moved - self._vector(fit)
-        theta = self._named(moved)
         for i, (stage, line, mask) in enumerate(zip(self.stages, fit.lines, masks, strict=True)):
             if mask.any():
-                work = _Work(replace(stage, names=(), vehicle=_with(stage.vehicle, theta)), {}, np.flatnonzero(mask))
+                work = _Work(there[i], {}, np.flatnonzero(mask))
                 kept = fit.initial[i][:, mask]
                 start = kept.copy()
                 start[work.rows] += line.follow(step[self._places(stage)], 0.0)[:, mask]
@@ -476,7 +493,7 @@ def expected_errors(stage: StageProblem, theta: Mapping[str, float], initial: Ar
     Noise of measured inputs counts: it drives the car that is simulated, not the one that was measured.
     """
     generator = np.random.default_rng(seed)
-    alone = replace(stage, names=(), vehicle=_with(stage.vehicle, theta))
+    alone = stage.at(theta)
     still = replace(alone.windows({}), initial=initial)
     truth = stage.rollout.predict(alone.parameters({}), still, stage.threads)
     noisy = replace(alone, evidence=stage.evidence.with_noisy_inputs(generator))
@@ -496,7 +513,7 @@ class _Work:
         self.windows = self._cut(theta)
         self.initial = self.windows.initial.copy()
         if problem.vehicle.states != STATE:
-            self._led = problem.own_states(theta)
+            self._led = (problem.at(theta) if problem.names else problem).own_states
             self.initial[len(STATE) :] = self._starts(self._led)
         states = problem.rollout.vehicle.states
         self.columns, self.silent = problem.columns(), problem.silent()
@@ -537,9 +554,7 @@ class _Work:
 
     def linearise(self, theta: Mapping[str, float]) -> Linear:
         """Return cost, H and g of every window."""
-        self._shift(theta)
-        drift, slope = self.drift(theta)
-        windows = replace(self.windows, initial=self.initial + drift)
+        windows, slope = self._now(theta), self.drift(theta)[1]
         with np.errstate(all="ignore"):
             parts = self.problem.rollout.accumulate(
                 self.problem.parameters(theta), windows, self.problem.threads, self.columns, self.silent
@@ -597,15 +612,25 @@ class _Work:
     ) -> None:
         """Take the initial states' step when θ moves by `moved`.
 
-        Where own states make the way rough, every window by itself takes whichever damping leads it lowest.
+        Where own states make the way rough, a window that this does not help takes whichever damping leads it lowest.
         """
-        kept = self.initial
-        steps = [damping, *(WAYS if self.remembers else [])]
-        moves = [kept + self.spread(line, moved, each) for each in steps]
+        kept, ways = self.initial, WAYS if self.remembers else ()
+        first, *others = (kept + self.spread(line, moved, each) for each in (damping, *ways))
+        self.initial = first
         if self.remembers or wait:
-            self.begin(theta, *moves, kept)
-        else:
-            self.initial = moves[0]
+            self.begin(theta, first, kept)
+        stuck = np.flatnonzero((self.initial == kept).all(axis=0))
+        if others and len(stuck):
+            part = self.some(stuck)
+            part.begin(theta, *(each[:, stuck] for each in (*others, kept)))
+            self.initial[:, stuck] = part.initial
+
+    def some(self, chosen: NDArray[np.int64]) -> "_Work":
+        """Return the work on some of the windows."""
+        part = copy.copy(self)
+        part.index = chosen if self.index is None else self.index[chosen]
+        part.windows, part.initial, part.rest = self.windows.take(chosen), self.initial[:, chosen], self.rest[:, chosen]
+        return part
 
     def begin(self, theta: Mapping[str, float], *initials: Array) -> Array:
         """Start every window from the initial state that fits it best; return the cost per window (W,)."""
@@ -630,10 +655,8 @@ class _Work:
 
     def errors(self, theta: Mapping[str, float]) -> Array:
         """Return simulated − measured (T + 1, C, W) from the initial states as they are."""
-        self._shift(theta)
-        windows = replace(self.windows, initial=self.initial + self.drift(theta)[0])
-        shown = self.problem.rollout.predict(self.problem.parameters(theta), windows, self.problem.threads)
-        return shown - windows.measured
+        windows, parameters = self._now(theta), self.problem.parameters(theta)
+        return self.problem.rollout.predict(parameters, windows, self.problem.threads) - windows.measured
 
     def losses(self, theta: Mapping[str, float]) -> float:
         """Return the summed loss of the windows, n as where the fit began; infinite where one blew up."""
@@ -643,10 +666,12 @@ class _Work:
 
     def cost(self, theta: Mapping[str, float]) -> Array:
         """Return the cost per window (W,), as the initial states are."""
-        return self.squares(theta) + (self._away() ** 2 * self.precision).sum(axis=1)
-
-    def squares(self, theta: Mapping[str, float]) -> Array:
-        """Return the summed squared errors over the noise (W,), as the initial states are."""
+        windows, parameters = self._now(theta), self.problem.parameters(theta)
         with np.errstate(all="ignore"):
-            squares: Array = ((self.errors(theta) / self.problem.sigma[:, None]) ** 2).sum(axis=(0, 1))
-        return squares
+            squares = self.problem.rollout.squares(parameters, windows, self.problem.threads).sum(axis=1)
+            return np.asarray(squares + (self._away() ** 2 * self.precision).sum(axis=1))
+
+    def _now(self, theta: Mapping[str, float]) -> Windows:
+        """Return the windows with inputs at θ's shifts, from the initial states as they are."""
+        self._shift(theta)
+        return replace(self.windows, initial=self.initial + self.drift(theta)[0])

@@ -66,6 +66,8 @@ def judge(investigation: Investigation, decision: Decision) -> Verdict:
         reason = f"{' and '.join(effects)} helps, but explains only {share:.0%} of a small excess"
         return Verdict("under_excited", (), (), blind, reason)
     explained = f"{' and '.join(effects)} explains {share:.0%} of the excess"
+    if had < REAL * sum(decision.noise[stage] for stage in touched):
+        explained += ", which is no larger than the noise is known"
     if rivals:
         return Verdict("ambiguous", effects, rivals, blind, f"{explained}, and so does {' or '.join(rivals)}")
     return Verdict("named" if len(effects) == 1 else "multiple", effects, (), blind, explained)

@@ -29,7 +29,8 @@ log = logging.getLogger(__name__)
 
 # fast-math lets the compiler take the vector versions of sin, atan, …; NaN still spreads through sums.
 # cos is written as a shifted sin: sin and cos of one angle would be fused to a complex exponential, which has none.
-FLAGS = ("-O3", "-march=native", "-ffast-math", "-fopenmp-simd", "-fPIC")
+FLAGS = ("-march=native", "-ffast-math", "-fopenmp-simd", "-fPIC")
+THOROUGH, QUICK = ("-O3",), ("-O1", "-ftree-vectorize", "-fno-tree-slp-vectorize")
 BUILD_TIME_LIMIT = 120  # s
 
 FUNCTIONS = ("sin", "atan", "tanh", "exp", "sqrt", "fabs")
@@ -154,24 +155,28 @@ def _find_compiler() -> str | None:
     return None
 
 
-def build(code: str) -> ctypes.CDLL | None:
-    """Compile the source, or take it from the cache; None (and a line in the log) when that is not possible."""
+def build(code: str, effort: Sequence[str] = THOROUGH) -> ctypes.CDLL | None:
+    """Compile the source, or take it from the cache; None (and a line in the log) when that is not possible.
+
+    `QUICK` takes less than half of the time; loops have to be written out for it, and vectorised by pragma.
+    """
     compiler = _find_compiler()
     if compiler is None:
         return None
     try:
         version = subprocess.run([compiler, "--version"], capture_output=True, check=True, timeout=30).stdout  # noqa: S603
-        identity = hashlib.sha256("\0".join([code, *FLAGS, version.decode(errors="replace"), _processor()]).encode())
+        about = [code, *effort, *FLAGS, version.decode(errors="replace"), _processor()]
+        identity = hashlib.sha256("\0".join(about).encode())
         library = cache_folder() / f"{identity.hexdigest()[:32]}.so"
         if not library.is_file():
-            _compile(compiler, code, library)
+            _compile([compiler, *effort, *FLAGS], code, library)
         return ctypes.CDLL(str(library))
     except (OSError, subprocess.SubprocessError) as error:
         log.warning("the kernel could not be compiled (%s); computing on torch, several times slower", error)
         return None
 
 
-def _compile(compiler: str, code: str, library: Path) -> None:
+def _compile(compiler: Sequence[str], code: str, library: Path) -> None:
     """Build beside the target and rename, so that many processes may do it at once."""
     library.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=library.parent) as folder:
@@ -179,8 +184,8 @@ def _compile(compiler: str, code: str, library: Path) -> None:
         path.write_text(code)
         # linked without -ffast-math, which would make the whole process flush subnormal numbers to zero
         for command in (
-            [compiler, *FLAGS, "-c", str(path), "-o", str(unit)],
-            [compiler, "-shared", str(unit), "-o", str(built), "-lm"],
+            [*compiler, "-c", str(path), "-o", str(unit)],
+            [compiler[0], "-shared", str(unit), "-o", str(built), "-lm"],
         ):
             subprocess.run(command, capture_output=True, check=True, timeout=BUILD_TIME_LIMIT)  # noqa: S603
         built.replace(library)

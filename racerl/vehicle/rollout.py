@@ -20,7 +20,7 @@ the same by automatic differentiation, far more slowly.
 
 import ctypes
 import dataclasses
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -30,7 +30,7 @@ import torch
 from numpy.typing import NDArray
 
 from racerl.vehicle.actuator import Given
-from racerl.vehicle.codegen import build, precision, statements
+from racerl.vehicle.codegen import QUICK, build, precision, statements
 from racerl.vehicle.integrate import rk4
 from racerl.vehicle.ops import TORCH, CasadiOps, Ops
 from racerl.vehicle.parameter import replace_values, values
@@ -105,27 +105,42 @@ static inline void look(const lane *restrict a, const lane *restrict b, const in
 static inline void spread(const lane *restrict a, const lane *restrict b, const int *slot, const int *on, long D,
                           lane (*X)[D], lane (*base)[D], lane (*restrict sum)[D], real g,
                           lane (*restrict Y)[D], real h) {{
+    lane K[D];
 {product}
 {direct}
 }}
 
 static void along(const lane *restrict x, const lane *restrict k, real h, lane *restrict y, int rows) {{
     for (int i = 0; i < rows; i++)
+        #pragma omp simd
         for (int l = 0; l < LANES; l++) y[i][l] = x[i][l] + h * k[i][l];
 }}
 
 static void gather(lane *restrict sum, const lane *restrict k, real h, int rows) {{
     for (int i = 0; i < rows; i++)
+        #pragma omp simd
         for (int l = 0; l < LANES; l++) sum[i][l] += h * k[i][l];
 }}
 
 #define LOAD(target, source, rows) \\
     for (int i = 0; i < (rows); i++) for (int l = 0; l < LANES; l++) target[i][l] = (source)[i * n + window[l]]
 
+static void advance(lane *restrict x, const lane *restrict u, const lane *restrict p, long steps, real h) {{
+    lane y[S], sum[S], k[S];
+    for (long step = 0; step < steps; step++) {{
+        memcpy(sum, x, sizeof sum);
+        derivative(x, u, p, k); gather(sum, k, h / 6, S); along(x, k, h / 2, y, S);
+        derivative(y, u, p, k); gather(sum, k, h / 3, S); along(x, k, h / 2, y, S);
+        derivative(y, u, p, k); gather(sum, k, h / 3, S); along(x, k, h, y, S);
+        derivative(y, u, p, k); gather(sum, k, h / 6, S);
+        memcpy(x, sum, sizeof sum);
+    }}
+}}
+
 void simulate(const real *x_0, const real *inputs, const real *parameters, real *out, long n, long intervals,
               long steps, real h) {{
     for (long first = 0; first < n; first += LANES) {{
-        lane x[S], y[S], sum[S], k[S], u[U], p[P + 1];
+        lane x[S], u[U], p[P + 1];
         long window[LANES];
         for (int l = 0; l < LANES; l++) window[l] = first + l < n ? first + l : n - 1;
         LOAD(x, x_0, S);
@@ -135,15 +150,37 @@ void simulate(const real *x_0, const real *inputs, const real *parameters, real 
                 for (int i = 0; i < S; i++) out[(t * S + i) * n + first + l] = x[i][l];
             if (t == intervals) break;
             LOAD(u, inputs + t * U * n, U);
-            for (long step = 0; step < steps; step++) {{
-                memcpy(sum, x, sizeof x);
-                derivative(x, u, p, k); gather(sum, k, h / 6, S); along(x, k, h / 2, y, S);
-                derivative(y, u, p, k); gather(sum, k, h / 3, S); along(x, k, h / 2, y, S);
-                derivative(y, u, p, k); gather(sum, k, h / 3, S); along(x, k, h, y, S);
-                derivative(y, u, p, k); gather(sum, k, h / 6, S);
-                memcpy(x, sum, sizeof x);
-            }}
+            advance(x, u, p, steps, h);
         }}
+    }}
+}}
+
+/* squared weighted errors, summed over the samples of each window */
+void squares(const real *x_0, const real *inputs, const real *parameters, const real *measured, const real *weight,
+             real *out, long n, long intervals, long steps, real h) {{
+    for (long first = 0; first < n; first += LANES) {{
+        lane x[S], u[U], p[P + 1], w[C], m[C], v[C], q[C], a[{sight_jacobian} + 1], b[{sight_gradient} + 1];
+        long window[LANES];
+        for (int l = 0; l < LANES; l++) window[l] = first + l < n ? first + l : n - 1;
+        LOAD(x, x_0, S);
+        LOAD(w, weight, C);
+        LOAD(p, parameters, P);
+        memset(q, 0, sizeof q);
+        for (long t = 0; t <= intervals; t++) {{
+            LOAD(m, measured + t * C * n, C);
+            sight(x, p, v, a, b);
+            for (int c = 0; c < C; c++)
+                #pragma omp simd
+                for (int l = 0; l < LANES; l++) {{
+                    real e = w[c][l] * (v[c][l] - m[c][l]);
+                    q[c][l] += e * e;
+                }}
+            if (t == intervals) break;
+            LOAD(u, inputs + t * U * n, U);
+            advance(x, u, p, steps, h);
+        }}
+        for (int l = 0; l < LANES && first + l < n; l++)
+            for (int c = 0; c < C; c++) out[(first + l) * C + c] = q[c][l];
     }}
 }}
 
@@ -179,17 +216,14 @@ void accumulate(const real *x_0, const real *inputs, const real *parameters, con
                 }}
             for (int i = 0; i < D; i++) {{
                 lane J[C];
-                for (int c = 0; c < C; c++)
-                    for (int l = 0; l < LANES; l++) {{
-                        J[c][l] = w[c][l] * w[c][l] * Z[c][i][l];
-                        g[i][l] += w[c][l] * Z[c][i][l] * e[c][l];
-                    }}
+                #pragma omp simd
+                for (int l = 0; l < LANES; l++) {{
+{weighed}
+                    g[i][l] += {along};
+                }}
                 for (int j = 0; j <= i; j++)
-                    for (int l = 0; l < LANES; l++) {{
-                        real total = H[i][j][l];
-                        for (int c = 0; c < C; c++) total += J[c][l] * Z[c][j][l];
-                        H[i][j][l] = total;
-                    }}
+                    #pragma omp simd
+                    for (int l = 0; l < LANES; l++) H[i][j][l] += {normal};
             }}
             if (t == intervals) break;
             LOAD(u, inputs + t * U * n, U);
@@ -221,15 +255,22 @@ void accumulate(const real *x_0, const real *inputs, const real *parameters, con
 """
 
 
-PUSHED = """    if (on[{row}])
-        for (int d = 0; d < D; d++) {{
+PUSHED = """    if (on[{row}]) {{
+        for (int d = 0; d < D; d++)
+            #pragma omp simd
+            for (int l = 0; l < LANES; l++) K[d][l] = {sum};
+{own}
+        for (int d = 0; d < D; d++)
             #pragma omp simd
             for (int l = 0; l < LANES; l++) {{
-                real k = {sum};
-                sum[{row}][d][l] += g * k;
-                Y[{row}][d][l] = base[{row}][d][l] + h * k;
+                sum[{row}][d][l] += g * K[d][l];
+                Y[{row}][d][l] = base[{row}][d][l] + h * K[d][l];
             }}
-        }}"""
+    }}"""
+OWN = """        if (on[{column}])
+            for (int d = 0; d < D; d++)
+                #pragma omp simd
+                for (int l = 0; l < LANES; l++) K[d][l] += {term};"""
 
 
 @dataclass(frozen=True)
@@ -330,7 +371,7 @@ class Rollout(Equations):
     ) -> None:
         super().__init__(vehicle, names, observed, given)
         self.step = step
-        self._library = build(source(self))
+        self._library = build(source(self), QUICK)
         self.compiled = self._library is not None
 
     @property
@@ -369,6 +410,22 @@ class Rollout(Equations):
         table = torch.as_tensor(np.array(_per_window(parameters, windows)))
         shown = self.observe(states.unbind(1), table.unbind(0), TORCH)
         return torch.stack(torch.broadcast_tensors(*shown), dim=1).numpy()
+
+    def squares(self, parameters: Array, windows: Windows, threads: int = 1) -> Array:
+        """Return every window's squared weighted errors, summed per channel (W, C)."""
+        parameters = _per_window(parameters, windows)
+        steps, h = self.steps(windows.dt)
+        if self._library is None:
+            errors = windows.weight * (self.predict(parameters, windows) - windows.measured)
+            return np.asarray((errors**2).sum(axis=0).T)
+
+        def run(part: Windows, parameters: Array) -> Array:
+            out = np.empty((part.count, len(self.observed)))
+            given = [part.initial, part.inputs, parameters, part.measured, part.weight, out]
+            _call(self._library, "squares", given, part.count, len(windows.inputs), steps, h)
+            return out
+
+        return np.concatenate(_in_chunks(run, windows, parameters, threads))
 
     def accumulate(
         self,
@@ -415,11 +472,11 @@ def _per_window(parameters: Array, windows: Windows) -> Array:
 
 
 def _in_chunks(run: Any, windows: Windows, parameters: Array, threads: int) -> list[Any]:
-    """Call `run` on chunks of windows, in order; the compiled kernel lets other threads work meanwhile."""
+    """Call `run` on chunks of windows, in order, the compiled kernel letting other threads work; on all with one."""
+    if threads == 1:
+        return [run(windows, parameters)]
     parts = [slice(first, first + CHUNK) for first in range(0, windows.count, CHUNK)]
     chunks = [(windows.take(part), parameters[:, part]) for part in parts]
-    if threads == 1 or len(chunks) == 1:
-        return [run(*chunk) for chunk in chunks]
     with ThreadPoolExecutor(threads) as pool:
         return list(pool.map(lambda chunk: run(*chunk), chunks))
 
@@ -519,6 +576,7 @@ def source(rollout: Equations) -> str:
     plain = casadi.Function("derivative", [x, u, p], [f])
     linear = casadi.cse([f, casadi.vertcat(*f_x.nonzeros()), casadi.vertcat(*f_p.nonzeros())])
     linearised = casadi.Function("linearised", [x, u, p], linear)
+    channels = range(len(rollout.observed))
     seen = [y, casadi.vertcat(*y_x.nonzeros()), casadi.vertcat(*y_p.nonzeros())]
     sight = casadi.Function("sight", [x, p], seen)
     return TEMPLATE.format(
@@ -533,10 +591,13 @@ def source(rollout: Equations) -> str:
         derivative=statements(plain, ("x", "u", "p"), ("k",)),
         linearised=statements(linearised, ("x", "u", "p"), ("k", "a", "b")),
         sight=statements(sight, ("x", "p"), ("y", "a", "b")),
-        product="\n".join(PUSHED.format(row=i, sum=row) for i, row in enumerate(_products(f_x))),
+        product="\n".join(_pushed(i, row, rollout.active) for i, row in enumerate(_terms(f_x))),
         direct=_direct("PUSH", f_p),
-        seen="\n".join(f"            K[{i}][d][l] = {row};" for i, row in enumerate(_products(y_x))),
+        seen="\n".join(f"            K[{i}][d][l] = {_sum(row.values())};" for i, row in enumerate(_terms(y_x))),
         seen_direct=_direct("SEE", y_p),
+        weighed="\n".join(f"{20 * ' '}J[{c}][l] = w[{c}][l] * w[{c}][l] * Z[{c}][i][l];" for c in channels),
+        along=_sum(f"w[{c}][l] * Z[{c}][i][l] * e[{c}][l]" for c in channels),
+        normal=_sum(f"J[{c}][l] * Z[{c}][j][l]" for c in channels),
         jacobian=f_x.nnz(),
         gradient=f_p.nnz(),
         sight_jacobian=y_x.nnz(),
@@ -544,12 +605,23 @@ def source(rollout: Equations) -> str:
     )
 
 
-def _products(matrix: Any) -> list[str]:
-    """Return C for each row of a sparse matrix, whose entries are in `a`, times a column of X."""
-    terms: list[list[str]] = [[] for _ in range(matrix.size1())]
+def _terms(matrix: Any) -> list[dict[int, str]]:
+    """Return C for the terms, by column, of each row of a sparse matrix, whose entries are in `a`, times X."""
+    terms: list[dict[int, str]] = [{} for _ in range(matrix.size1())]
     for index, (i, j) in enumerate(zip(*matrix.sparsity().get_triplet(), strict=True)):
-        terms[i].append(f"a[{index}][l] * X[{j}][d][l]")
-    return [" + ".join(row) or "0" for row in terms]
+        terms[i][j] = f"a[{index}][l] * X[{j}][d][l]"
+    return terms
+
+
+def _sum(terms: Iterable[str]) -> str:
+    return " + ".join(terms) or "0"
+
+
+def _pushed(row: int, terms: Mapping[int, str], active: Sequence[str]) -> str:
+    """Return C that spreads one row; effects' own states that are off have no share in it."""
+    always = _sum(term for column, term in terms.items() if active[column] in STATE)
+    own = (OWN.format(column=j, term=term) for j, term in terms.items() if active[j] not in STATE)
+    return PUSHED.format(row=row, sum=always, own="\n".join(own))
 
 
 def _direct(macro: str, matrix: Any) -> str:

@@ -20,6 +20,7 @@ from racerl.gap.name import (
     EXACT,
     FORM,
     Decision,
+    Judge,
     Scored,
     _changed,
     _deaf,
@@ -403,18 +404,22 @@ def test_an_effect_is_known_no_better_than_its_form(name, values, key, deviation
     assert 0.5 * (high - low) == pytest.approx(1.96 * deviation) and 0.5 * (low + high) == pytest.approx(value)
 
 
-@pytest.mark.parametrize(("noise", "deaf"), [(990.0, False), (960.0, False), (900.0, True)])
-def test_a_gain_that_is_noise_passed_on_no_longer_is_none(monkeypatch, noise, deaf):
-    monkeypatch.setattr(
-        "racerl.gap.name.excesses", lambda investigation, cost, noise: {"chassis": float(cost["chassis"].sum())}
-    )
-    costs = {
-        name: {"chassis": np.array([total])} for name, total in (("base", 1100.0), ("now", 1100.0), ("best", 990.0))
-    }
-    found = {name: SimpleNamespace(cost=cost) for name, cost in costs.items()}
-    investigation = SimpleNamespace(base=found["base"], noise_cost=lambda _: {"chassis": noise})
-    decision = SimpleNamespace(found=found["now"], noise={"chassis": 1000.0})
-    assert _deaf(investigation, decision, found["best"]) == deaf
+@pytest.mark.parametrize(
+    ("noise", "cost", "deaf"),
+    [
+        (990.0, 100.0, False),
+        (900.0, 100.0, True),
+        (900.0, 10_000.0, False),  # where a fit is lost, that much noise hardly counts
+        (1100.0, 100.0, False),
+    ],
+)
+def test_a_gain_that_is_noise_passed_on_no_longer_is_none(monkeypatch, noise, cost, deaf):
+    """Ten windows at the cost of a usual one, where half of the noise's cost is in the loss."""
+    monkeypatch.setattr("racerl.gap.name.wild", lambda *_: 30.0 * 100.0)
+    judge = Judge(SimpleNamespace(noise_cost=lambda _: {"chassis": noise}), np.random.default_rng(0), {})
+    decision = SimpleNamespace(cost={"chassis": np.full(10, cost)}, noise={"chassis": 1000.0})
+    best = SimpleNamespace(found=None, gain=55.0, error=5.0)
+    assert _deaf(judge, decision, best) == deaf
 
 
 def test_a_rear_driven_split_is_no_idle_effect():

@@ -251,9 +251,9 @@ def test_every_window_begins_where_it_fits_best(clean):
     costs = []
     for initial in (good, bad):
         work.initial = initial
-        costs.append(work.squares({"yaw_inertia": 0.1}))
+        costs.append(work.cost({"yaw_inertia": 0.1}))
     work.begin({"yaw_inertia": 0.1}, good, bad)
-    np.testing.assert_allclose(work.squares({"yaw_inertia": 0.1}), np.minimum(*costs))
+    np.testing.assert_allclose(work.cost({"yaw_inertia": 0.1}), np.minimum(*costs))
     before = work.linearise({"yaw_inertia": 0.1}).cost
     alone = _Work(dataclasses.replace(stage, names=()), {}, None)
     alone.initial = work.initial.copy()
@@ -335,20 +335,21 @@ def test_an_effect_starts_as_it_was_fitted_before_too(damped, monkeypatch):
 
 
 @needs_compiler
-def test_a_small_effect_beside_a_large_one_is_named():
+def test_a_small_effect_beside_a_large_one_is_named(monkeypatch):
+    monkeypatch.setattr("racerl.gap.name.WORTH", 0.06)
     log = drive(
         "+vehicle/effect=[steering_offset,steering_gain]",
         "vehicle.effects.steering_offset.offset=0.08",
         "vehicle.effects.steering_gain.gain=0.92",
     )
     decision = name_effects(investigate(log, "steering_offset", "steering_gain", "steering_saturation"), 0)
-    assert decision.chosen == ["steering_offset", "steering_gain"] and decision.rounds[1][0].worth < 0.04
+    assert decision.chosen == ["steering_offset", "steering_gain"] and decision.rounds[1][0].worth < 0.06
     assert decision.found.theta["effects.steering_gain.gain"] == pytest.approx(0.92, abs=0.01)
 
 
 @needs_compiler
 def test_what_is_left_by_a_name_is_excused_only_where_sensors_were_filtered(monkeypatch):
-    log = drive("+vehicle/effect=[steering_offset,viscous_drag]")
+    log = drive("+vehicle/effect=[steering_offset,viscous_drag]", "vehicle.effects.viscous_drag.coefficient=8.0")
     investigation = investigate(log, "viscous_drag")
     decision = name_effects(investigation, 0)
     monkeypatch.setattr("racerl.gap.verdict.COARSE", 0.1)

@@ -32,7 +32,7 @@ def windows_for(car, observed=OBSERVED, count=11, length=12, dt=0.01, seed=0):
 
 def without_compiler(car, names, observed, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr(rollout_module, "build", lambda code: None)
+        patch.setattr(rollout_module, "build", lambda code, effort: None)
         slow = Rollout(car, names, observed)
     assert not slow.compiled
     return slow
@@ -107,6 +107,16 @@ def test_threads_and_neighbours_change_nothing(car):
     alone = rollout.accumulate(theta, windows.take(np.array([77])))
     assert np.array_equal(one.H, two.H) and np.array_equal(one.g, two.g)
     assert np.allclose(one.H[77], alone.H[0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("compiled", [pytest.param(True, marks=needs_compiler), False])
+def test_squares_are_those_of_what_is_predicted(car, compiled, monkeypatch):
+    windows = windows_for(car, count=75 if compiled else 5)
+    rollout = Rollout(car, NAMES, OBSERVED) if compiled else without_compiler(car, NAMES, OBSERVED, monkeypatch)
+    theta = rollout.nominal() * 1.1
+    errors = windows.weight * (rollout.predict(theta, windows) - windows.measured)
+    assert np.allclose(rollout.squares(theta, windows, threads=2), (errors**2).sum(axis=0).T, rtol=1e-9)
+    assert np.allclose(rollout.squares(theta, windows), rollout.accumulate(theta, windows).squares, rtol=1e-9)
 
 
 @pytest.mark.parametrize("compiled", [pytest.param(True, marks=needs_compiler), False])
