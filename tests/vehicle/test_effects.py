@@ -121,14 +121,7 @@ ROLLING = {"v_x": 3.0, "omega": 3.0}
         ("current_limit", {"limit": 2.0}, {"v_x": 1.0, "omega": 1.0}, (0.0, 5.0), "omega", None),
         ("drive_brake_asymmetry", {"ratio": 2.0}, ROLLING, (0.0, 2.0), "omega", None),
         ("regen_braking", {"rate": 2.0, "reach": 0.2}, ROLLING, (0.0, 1.0), "omega", -6.0),
-        (
-            "regen_braking",
-            {"rate": 2.0, "reach": 0.2},
-            ROLLING,
-            (0.0, 2.98),
-            "omega",
-            -0.598008,
-        ),  # all of a small demand
+        ("regen_braking", {"rate": 2.0, "reach": 0.2}, ROLLING, (0.0, 2.98), "omega", -0.598008),  # no less of a little
         ("regen_braking", {"rate": 2.0, "reach": 0.2}, ROLLING, (0.0, 5.0), "omega", 0.0),
         ("rolling_resistance", {"force": 1.0}, ROLLING, (0.0, 3.0), "v_x", -1.0 / 5.1),
         ("viscous_drag", {"coefficient": 0.5}, ROLLING, (0.0, 3.0), "v_x", -1.5 / 5.1),

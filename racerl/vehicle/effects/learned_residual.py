@@ -72,14 +72,14 @@ class LearnedResidual(Fading):
 
     def steering_rate(self, rate: Scalar, course: "Course", ops: Ops) -> Scalar:
         """Add what was learned of δ̇."""
-        _, angle, reference, _ = course.steering
-        lead = ops.tanh((reference - angle) / 0.1)
-        more = self.servo_one + self.servo_lead * lead + self.servo_angle * ops.tanh(angle / 0.2)
+        servo = course.steering
+        lead = ops.tanh((servo.reference - servo.state) / 0.1)
+        more = self.servo_one + self.servo_lead * lead + self.servo_angle * ops.tanh(servo.state / 0.2)
         return rate + self.inside(course.motion, ops) * MOST_STEERING * ops.tanh(more / MOST_STEERING)
 
     def drive_rate(self, rate: Scalar, course: "Course", ops: Ops) -> Scalar:
         """Add what was learned of ω̇."""
-        _, speed, reference, _ = course.drive
-        lead, v = ops.tanh(reference - speed), ops.tanh(speed / 3.0)
+        drive = course.drive
+        lead, v = ops.tanh(drive.reference - drive.state), ops.tanh(drive.state / 3.0)
         more = self.drive_one + self.drive_lead * lead + self.drive_speed * v + self.drive_lead_speed * lead * v
         return rate + self.inside(course.motion, ops) * MOST_DRIVE * ops.tanh(more / MOST_DRIVE)

@@ -27,6 +27,6 @@ class RegenBraking(Effect):
 
     def drive_rate(self, rate: Scalar, course: "Course", ops: Ops) -> Scalar:
         """Return ω̇ − c ω while braking."""
-        _, speed, reference, _ = course.drive
-        demand = ops.maximum(speed - reference, 0.0)
-        return rate - self.rate * speed * ops.tanh(demand / self.reach)
+        drive = course.drive
+        demand = ops.maximum(drive.state - drive.reference, 0.0)
+        return rate - self.rate * drive.state * ops.tanh(demand / self.reach)

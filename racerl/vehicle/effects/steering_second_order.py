@@ -34,6 +34,6 @@ class SteeringSecondOrder(Effect):
 
     def rates(self, course: "Course", ops: Ops) -> Sequence[Scalar]:
         """Return δ̈."""
-        _, angle, reference, _ = course.steering
-        pull = self.frequency * self.frequency * (reference - angle)
+        servo = course.steering
+        pull = self.frequency * self.frequency * (servo.reference - servo.state)
         return (pull - 2.0 * self.damping * self.frequency * course.motion.own[self.key("rate")],)
