@@ -442,7 +442,9 @@ def _close(settings: "Settings", out: Path) -> None:
     for measure, share in facts["recovered"].items():
         missing = [kind for kind, policy in facts["policies"].items() if policy[measure] is None]
         why = f"{' and '.join(missing)} finished no lap in a training" if missing else "the oracle gains nothing"
-        gained.append(f"{told[measure]}: " + (why if share is None else f"{share:.0%} of the oracle's gain"))
+        ci95 = facts["recovered_ci95"][measure]
+        sure = f"{ci95[0]:.0%} … {ci95[1]:.0%}" if ci95 else "the trainings scatter by more than the oracle gains"
+        gained.append(f"{told[measure]}: " + (why if share is None else f"{share:.0%} of the oracle's gain ({sure})"))
     line = f"with {', '.join(facts['effects'])}: {'; '.join(gained)}; numbers in {out / RESULT}"
     console.print(line, highlight=False, soft_wrap=True)
 

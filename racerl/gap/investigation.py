@@ -6,6 +6,7 @@ all windows rank; folds of stretches that are left out decide.
 
 import copy
 from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
@@ -242,6 +243,12 @@ class Investigation:
             if StageProblem.touched(evidence, self.kernels[name], vehicle, unknowns):
                 found.append(name)
         return found
+
+    def prepare(self, base: Found, names: Sequence[str]) -> None:
+        """Compile what effects beside those of a fitted vehicle need, where the cache lacks it: in all threads."""
+        vehicles = [self.joined(base.vehicle, name, self.catalogue[name][0]) for name in names]
+        with ThreadPoolExecutor(self.threads) as pool:
+            list(pool.map(lambda name, vehicle: self.touched(vehicle, frozenset([name])), names, vehicles))
 
     def screen(self, base: Found, name: str, fitted: Sequence[Effect] = ()) -> Screened | None:
         """Add an effect to a fitted vehicle: a few steps from each of its usual sizes, on a share of the windows.

@@ -172,6 +172,7 @@ def _round(
     investigation, current = judge.investigation, decision.found
     lost = {stage for stage in scores if investigation.beyond(current, [stage]) > LOST}
     tried, shortlist = [], _shortlist(scores, lost)
+    investigation.prepare(current, shortlist)
     for i, name in enumerate(shortlist):
         on_progress(name, i / len(shortlist))
         fitted = [row.found.vehicle.effects[name] for rows in decision.rounds for row in rows if row.name == name]

@@ -2,13 +2,15 @@
 
 `old` was trained on the refitted vehicle without the effects found, `new` with them, `oracle` on the car itself, each
 several times. Of the oracle's gain, in lap time, in leaving the track or in crashes, naming the effect recovered the
-share (old − new)/(old − oracle), of the trainings' means.
+share (old − new)/(old − oracle), of the trainings' means; its interval is a bootstrap over the trainings.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from statistics import fmean
 from typing import Any
+
+import numpy as np
 
 from racerl import bounds
 from racerl.data.load import load_given
@@ -23,6 +25,7 @@ from racerl.vehicle.load import load_vehicle
 
 RESULT = "close.json"
 MEASURES = ("mean_lap_s", "e_off", "crash_share")  # less is better
+RESAMPLES, TAIL = 4000, 2.5  # of the bootstrap; its tails in percent
 SHOWN = (*MEASURES, "fastest_valid_lap_s", "laps", "valid_laps")
 
 
@@ -72,6 +75,7 @@ def close(
     facts["recovered"] = {
         measure: recovered(*(facts["policies"][kind][measure] for kind in cars)) for measure in MEASURES
     }
+    facts["recovered_ci95"] = {measure: interval(rows, measure) for measure in MEASURES}
     write_json(folder.path / RESULT, facts)
     folder.finish()
     return facts
@@ -104,3 +108,17 @@ def recovered(old: float | None, new: float | None, oracle: float | None) -> flo
     if old is None or new is None or oracle is None or old <= oracle:
         return None
     return (old - new) / (old - oracle)
+
+
+def interval(rows: Mapping[str, Sequence[Mapping[str, Any]]], measure: str) -> tuple[float, float] | None:
+    """Return the 95 % interval of the share recovered; None where trainings don't show that the oracle gains at all."""
+    generator = np.random.default_rng(0)
+    columns = [[row[measure] for row in rows[kind]] for kind in ("old", "new", "oracle")]
+    if any(None in column for column in columns):
+        return None
+    old, new, oracle = (generator.choice(column, size=(RESAMPLES, len(column))).mean(axis=1) for column in columns)
+    gains = old > oracle
+    if len(columns[0]) < 2 or np.mean(~gains) > TAIL / 100.0:
+        return None
+    low, high = np.percentile((old - new)[gains] / (old - oracle)[gains], [TAIL, 100.0 - TAIL])
+    return float(low), float(high)

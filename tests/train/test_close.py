@@ -9,7 +9,7 @@ from racerl.config import compose_settings
 from racerl.documents import write_json
 from racerl.errors import ConfigError, LogError, RacerlError, RunError
 from racerl.run import RunFolder
-from racerl.train.close import close, means, recovered
+from racerl.train.close import close, interval, means, recovered
 
 
 @pytest.fixture
@@ -106,3 +106,25 @@ def test_measures_are_means_over_trainings_that_all_have_them():
 def test_the_share_of_the_oracles_gain():
     assert recovered(6.0, 5.6, 5.5) == pytest.approx(0.8)
     assert recovered(6.0, None, 5.5) is None and recovered(5.5, 5.5, 5.6) is None
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "oracle", "known"),
+    [
+        ([7.5, 7.4, 7.45], [7.2, 7.3, 7.25], [7.2, 7.25, 7.15], True),
+        ([6.2, 6.4, 6.5], [6.1, 6.4, 6.3], [6.3, 6.2, 6.35], False),  # the oracle may as well be slower
+        ([7.5], [7.3], [7.2], False),
+        ([7.5, None], [7.3, 7.2], [7.2, 7.1], False),
+    ],
+)
+def test_the_shares_interval_is_that_of_the_trainings(old, new, oracle, known):
+    columns = {"old": old, "new": new, "oracle": oracle}
+    rows = {kind: [{"mean_lap_s": seconds} for seconds in column] for kind, column in columns.items()}
+    found = interval(rows, "mean_lap_s")
+    if not known:
+        assert found is None
+    else:
+        low, high = found
+        share = recovered(*(sum(column) / len(column) for column in columns.values()))
+        assert (min(old) - max(new)) / (max(old) - min(oracle)) < low < share < high
+        assert high < (max(old) - min(new)) / (min(old) - max(oracle))
