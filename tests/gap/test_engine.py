@@ -13,7 +13,7 @@ from racerl.gap.follow import follow, lagged
 from racerl.gap.investigation import COG, Investigation, Screened
 from racerl.gap.name import name_effects
 from racerl.gap.presence import with_all
-from racerl.gap.problem import Problem, StageKernels, StageProblem, Unknown, _Work, loss
+from racerl.gap.problem import WAYS, Problem, StageKernels, StageProblem, Unknown, _Work, loss
 from racerl.gap.stage import CHASSIS, DRIVE, STEERING
 from racerl.gap.verdict import judge
 from racerl.identify.unknowns import choose_unknowns
@@ -259,6 +259,21 @@ def test_every_window_begins_where_it_fits_best(clean):
     alone.initial = work.initial.copy()
     after = alone.settled()
     assert (after <= before * (1.0 + 1e-9)).all() and after.sum() < 0.8 * before.sum()
+
+
+def test_a_window_that_its_step_does_not_help_takes_another_or_stays(clean, monkeypatch):
+    (stage,) = inertia_problem(clean).stages
+    work = _Work(stage.at({}), {}, None)
+    work.remembers = True
+    right = work.initial.copy()
+    work.initial[4, ::3] -= 3.0  # v_y of a third of the windows, which only the most damped step mends
+    work.initial[4, 1::3] += 1.0  # and of another third, which the first one does
+    kept, steps = work.initial, {0.5: -1.0, WAYS[0]: 5.0, WAYS[1]: 7.0, WAYS[2]: 3.0}
+    lateral = np.arange(len(kept))[:, None] == 4
+    monkeypatch.setattr(work, "spread", lambda line, moved, damping: np.where(lateral, steps[damping], 0.0))
+    work.move({}, None, np.zeros(1), 0.5)
+    assert (kept != right).any(axis=0).mean() > 0.6
+    np.testing.assert_allclose(work.initial, right, atol=1e-12)
 
 
 def test_an_absent_effect_changes_nothing_and_a_present_one_all(clean):
