@@ -371,7 +371,7 @@ class Rollout(Equations):
     ) -> None:
         super().__init__(vehicle, names, observed, given)
         self.step = step
-        self._library = build(source(self), QUICK)
+        self._library = _declared(build(source(self), QUICK))
         self.compiled = self._library is not None
 
     @property
@@ -389,16 +389,15 @@ class Rollout(Equations):
         parameters = _per_window(parameters, windows)
         steps, h = self.steps(windows.dt)
         intervals, states = len(windows.inputs), len(self.vehicle.states)
-        if self._library is None:
+        if (library := self._library) is None:
             table = torch.as_tensor(np.array(parameters))
             initial, inputs = torch.as_tensor(windows.initial), torch.as_tensor(windows.inputs)
             return _roll_torch(self, table, initial, inputs, steps, h).numpy()
 
         def run(part: Windows, parameters: Array) -> Array:
             out = np.empty((intervals + 1, states, part.count))
-            _call(
-                self._library, "simulate", [part.initial, part.inputs, parameters, out], part.count, intervals, steps, h
-            )
+            given = [part.initial, part.inputs, parameters, out]
+            _call(library.simulate, given, part.count, intervals, steps, h)
             return out
 
         parts = _in_chunks(run, windows, parameters, threads)
@@ -415,14 +414,14 @@ class Rollout(Equations):
         """Return every window's squared weighted errors, summed per channel (W, C)."""
         parameters = _per_window(parameters, windows)
         steps, h = self.steps(windows.dt)
-        if self._library is None:
+        if (library := self._library) is None:
             errors = windows.weight * (self.predict(parameters, windows) - windows.measured)
             return np.asarray((errors**2).sum(axis=0).T)
 
         def run(part: Windows, parameters: Array) -> Array:
             out = np.empty((part.count, len(self.observed)))
             given = [part.initial, part.inputs, parameters, part.measured, part.weight, out]
-            _call(self._library, "squares", given, part.count, len(windows.inputs), steps, h)
+            _call(library.squares, given, part.count, len(windows.inputs), steps, h)
             return out
 
         return np.concatenate(_in_chunks(run, windows, parameters, threads))
@@ -444,7 +443,7 @@ class Rollout(Equations):
         steps, h = self.steps(windows.dt)
         asked = list(range(self.size)) if columns is None else list(columns)
         intervals, channels, size = len(windows.inputs), len(self.observed), len(asked)
-        if self._library is None:
+        if (library := self._library) is None:
             return _accumulate_torch(self, parameters, windows, steps, h, asked)
         slot = np.full(self.size, -1, dtype=np.int32)
         slot[asked] = np.arange(size)
@@ -453,7 +452,7 @@ class Rollout(Equations):
         def run(part: Windows, parameters: Array) -> tuple[Array, Array, Array]:
             out = np.empty((part.count, size, size)), np.empty((part.count, size)), np.empty((part.count, channels))
             given = [part.initial, part.inputs, parameters, part.measured, part.weight, *out]
-            _call(self._library, "accumulate", given, part.count, intervals, steps, h, slot, on)
+            _call(library.accumulate, given, part.count, intervals, steps, h, slot, on)
             return out
 
         parts = _in_chunks(run, windows, parameters, threads)
@@ -481,9 +480,22 @@ def _in_chunks(run: Any, windows: Windows, parameters: Array, threads: int) -> l
         return list(pool.map(lambda chunk: run(*chunk), chunks))
 
 
+def _declared(library: ctypes.CDLL | None) -> ctypes.CDLL | None:
+    """Tell the C types of the kernel's functions, once: threads share the functions, and with them their types."""
+    table: Any = ctypes.c_void_p
+    whole: Any = ctypes.c_long
+    shape = [whole, whole, whole, ctypes.c_double]
+    if library is not None:
+        library.simulate.argtypes = [table] * 4 + shape
+        library.squares.argtypes = [table] * 6 + shape
+        library.accumulate.argtypes = [table] * 8 + shape + [table, whole, table]
+        for function in (library.simulate, library.squares, library.accumulate):
+            function.restype = None
+    return library
+
+
 def _call(
-    library: Any,
-    name: str,
+    function: Any,
     arrays: Sequence[Array],
     count: int,
     intervals: int,
@@ -493,11 +505,7 @@ def _call(
     on: NDArray[np.int32] | None = None,
 ) -> None:
     contiguous = [np.ascontiguousarray(array, dtype=np.float64) for array in arrays]
-    function = getattr(library, name)
     asked = [] if slot is None or on is None else [slot.ctypes.data, int(slot.max()) + 1, on.ctypes.data]
-    function.restype = None
-    function.argtypes = [ctypes.c_void_p] * len(arrays) + [ctypes.c_long] * 3 + [ctypes.c_double]
-    function.argtypes += [ctypes.c_void_p, ctypes.c_long, ctypes.c_void_p][: len(asked)]
     function(*(array.ctypes.data for array in contiguous), count, intervals, steps, h, *asked)
 
 

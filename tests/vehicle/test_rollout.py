@@ -2,6 +2,8 @@
 
 import dataclasses
 import shutil
+import threading
+import time
 
 import numpy as np
 import pytest
@@ -107,6 +109,29 @@ def test_threads_and_neighbours_change_nothing(car):
     alone = rollout.accumulate(theta, windows.take(np.array([77])))
     assert np.array_equal(one.H, two.H) and np.array_equal(one.g, two.g)
     assert np.allclose(one.H[77], alone.H[0], rtol=1e-12)
+
+
+@needs_compiler
+def test_threads_may_take_turns_anywhere_in_a_call(car, monkeypatch):
+    """Every line of a call lets the other threads go on; what they share of the kernel must not change meanwhile."""
+
+    def turn(frame, event, argument):
+        if frame.f_code.co_name != "_call":
+            return None
+        time.sleep(1e-5)
+        return turn
+
+    monkeypatch.setattr(rollout_module, "CHUNK", rollout_module.LANES)
+    windows = windows_for(car, count=50 * rollout_module.LANES, length=1)
+    rollout = Rollout(car, NAMES, OBSERVED)
+    theta = rollout.nominal()
+    expected = rollout.accumulate(theta, windows)
+    threading.settrace(turn)
+    try:
+        got = rollout.accumulate(theta, windows, threads=8)
+    finally:
+        threading.settrace(None)
+    assert np.array_equal(got.H, expected.H) and np.array_equal(got.squares, expected.squares)
 
 
 @pytest.mark.parametrize("compiled", [pytest.param(True, marks=needs_compiler), False])
