@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 
 from racerl.gap.evidence import Evidence
 from racerl.vehicle.actuator import Given
-from racerl.vehicle.ops import CasadiOps
+from racerl.vehicle.ops import CasadiOps, symbolic
 from racerl.vehicle.vehicle import STATE, Vehicle
 
 Array = NDArray[np.float64]
@@ -19,6 +19,7 @@ AXES = len(STATE)
 ROWS = 500  # of a log in one call
 
 
+@symbolic
 def follow(vehicle: Vehicle, evidence: Evidence) -> Array:
     """Return the own states (S − 8, R) of a stage's vehicle at every row of its log."""
     import casadi

@@ -5,10 +5,10 @@ all windows rank; folds of stretches that are left out decide.
 """
 
 import copy
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -28,6 +28,8 @@ from racerl.vehicle.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 Names = frozenset[str]
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 SHARE = 0.1  # of a channel's misfit that counts as noise in its weight
 NOMINAL, SCREEN, REFINE = 20, 3, 8  # most iterations of the nominal fit, of screening, of a candidate
 ASTRAY = 1.3  # times the noise's cost, beyond which a fit says little of the parameters
@@ -110,6 +112,20 @@ class Investigation:
         free, any_size = [unknown.name for unknown in self.unknowns], {n: e[0] for n, e in catalogue.items()}
         return {name: StageKernels(each, self.vehicle, free, any_size) for name, each in self.evidence.items()}
 
+    def each(
+        self,
+        function: Callable[[Item], Result],
+        items: Sequence[Item],
+        on_progress: Callable[[Item, float], None] = lambda item, share: None,
+    ) -> list[Result]:
+        """Return a function of every item, in their order; all threads work, and their number changes nothing."""
+        results = []
+        with ThreadPoolExecutor(self.threads) as pool:
+            for item, result in zip(items, pool.map(function, items), strict=True):
+                results.append(result)
+                on_progress(item, len(results) / len(items))
+        return results
+
     def knowing(self, catalogue: Mapping[str, Sequence[Effect]]) -> "Investigation":
         """Return the same logs and refitted vehicle with another catalogue of effects."""
         other = copy.copy(self)
@@ -147,9 +163,10 @@ class Investigation:
 
     def _nominal(self, starts: Sequence[Vehicle]) -> Found:
         """Fit the vehicle without effects; weigh channels by their noise and a share of what is left over."""
-        likely = min((self._refit(vehicle, self._sampled(self.evidence)) for vehicle in starts), key=self._loss)
+        sampled = self._sampled(self.evidence)
+        likely = min(self.each(lambda vehicle: self._refit(vehicle, sampled), starts), key=self._loss)
         drawn = replace_values(self.vehicle, likely.fit.theta)  # what no stage tells stays as configured
-        found = min((self._refit(vehicle) for vehicle in (self.vehicle, drawn)), key=self._loss)
+        found = min(self.each(self._refit, [self.vehicle, drawn]), key=self._loss)
         for name, errors in self.errors(found).items():
             left = (errors**2).mean(axis=(0, 2))
             self.noise[name] = np.minimum(self.noise[name], np.sqrt(left))  # local polynomials miss fast motion
@@ -184,10 +201,7 @@ class Investigation:
             known = self._known_elsewhere(names)
             unknowns = [unknown for unknown in unknowns if unknown.name not in known]
         problem = Problem(
-            [
-                StageProblem.of(self.evidence[n], self.kernels[n], vehicle, unknowns, self.sigma[n], self.threads)
-                for n in names
-            ],
+            [StageProblem.of(self.evidence[n], self.kernels[n], vehicle, unknowns, self.sigma[n]) for n in names],
             unknowns,
         )
         table = {name: float(value) for name, value in values(vehicle).items()}
@@ -243,12 +257,6 @@ class Investigation:
             if StageProblem.touched(evidence, self.kernels[name], vehicle, unknowns):
                 found.append(name)
         return found
-
-    def prepare(self, base: Found, names: Sequence[str]) -> None:
-        """Compile what effects beside those of a fitted vehicle need, where the cache lacks it: in all threads."""
-        vehicles = [self.joined(base.vehicle, name, self.catalogue[name][0]) for name in names]
-        with ThreadPoolExecutor(self.threads) as pool:
-            list(pool.map(lambda name, vehicle: self.touched(vehicle, frozenset([name])), names, vehicles))
 
     def screen(self, base: Found, name: str, fitted: Sequence[Effect] = ()) -> Screened | None:
         """Add an effect to a fitted vehicle: a few steps from each of its usual sizes, on a share of the windows.
@@ -308,7 +316,7 @@ class Investigation:
             known = self._known_elsewhere([name])
             unknowns = [u for u in self._unknowns(base.effects, base.vehicle) if u.name not in known]
             problem = StageProblem.of(
-                evidence, self.kernels[name], base.vehicle, unknowns, self.sigma[name], self.threads, whole=True
+                evidence, self.kernels[name], base.vehicle, unknowns, self.sigma[name], whole=True
             )
             found[name] = score(problem, unknowns, base.theta, _begun(problem, start.initial, None))
         return found
@@ -431,7 +439,7 @@ class Investigation:
         """Return the errors (T + 1, C, W) of the refitted vehicle over a stage that was not fitted, and the noise's."""
         noise = evidence.noise()
         kernels = StageKernels(evidence, self.base.vehicle, [], {})
-        stage = StageProblem.of(evidence, kernels, self.base.vehicle, [], noise, self.threads)
+        stage = StageProblem.of(evidence, kernels, self.base.vehicle, [], noise)
         (initial,) = Problem([stage], []).fit({}, iterations=REFINE).initial
         return stage.errors({}, initial), expected_errors(stage, {}, initial, noise, seed)
 

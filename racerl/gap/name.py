@@ -114,7 +114,7 @@ def name_effects(
     cost = investigation.held_out(base)
     scores = investigation.scores(base)
     score = summed(scores.values())
-    judge = Judge(investigation, np.random.default_rng(seed), cost, score)
+    judge = Judge(investigation, seed, cost, score)
     first = [excess(investigation, cost, investigation.floor)]
     decision = Decision({}, base, cost, investigation.floor, score, excess=first)
     for number in range(ROUNDS):
@@ -171,25 +171,27 @@ def _round(
     """Return the candidates beside those chosen, on held-out windows, best first."""
     investigation, current = judge.investigation, decision.found
     lost = {stage for stage in scores if investigation.beyond(current, [stage]) > LOST}
-    tried, shortlist = [], _shortlist(scores, lost)
-    investigation.prepare(current, shortlist)
-    for i, name in enumerate(shortlist):
-        on_progress(name, i / len(shortlist))
+
+    def screened(name: str) -> Screened | None:
         fitted = [row.found.vehicle.effects[name] for rows in decision.rounds for row in rows if row.name == name]
-        tried.append(investigation.screen(current, name, fitted))
+        return investigation.screen(current, name, fitted)
+
+    def added(each: Screened) -> Scored:
+        return judge.score(
+            each.name, investigation.add(current, each.name, each.vehicle), decision.cost, decision.noise
+        )
+
+    def carried_on(row: Scored) -> Scored:
+        if row.gain <= max(CLOSE * most, row.error):
+            return row
+        return judge.score(row.name, investigation.converged(row.found), decision.cost, decision.noise)
+
+    tried = investigation.each(screened, _shortlist(scores, lost), on_progress)
     shown = [each for each in tried if each is not None]
     hopeful = {each.name: each for name, score in scores.items() for each in _hopeful(shown, score, name)}
-    scored = [
-        judge.score(name, investigation.add(current, name, each.vehicle), decision.cost, decision.noise)
-        for name, each in hopeful.items()
-    ]
+    scored = investigation.each(added, list(hopeful.values()))
     most = max((row.gain for row in scored), default=0.0)
-    near = [row.gain > max(CLOSE * most, row.error) for row in scored]
-    scored = [
-        judge.score(row.name, investigation.converged(row.found), decision.cost, decision.noise) if promising else row
-        for row, promising in zip(scored, near, strict=True)
-    ]
-    return judge.ranked(scored, decision.cost)
+    return judge.ranked(investigation.each(carried_on, scored), decision.cost)
 
 
 def _shortlist(scores: Mapping[str, Score], lost: Collection[str]) -> list[str]:
@@ -242,7 +244,8 @@ def _judged_again(judge: "Judge", decision: Decision, name: str) -> Decision:
     own = judge.score(name, decision.found, without.cost, without.noise)
     if not own.wanted:
         return without
-    rivals = [_instead(judge, without, row) for row in decision.kept[name][1:] if close(row) and row.name not in others]
+    near = [row for row in decision.kept[name][1:] if close(row) and row.name not in others]
+    rivals = investigation.each(lambda row: _instead(judge, without, row), near)
     sound = [rival for rival in rivals if rival.wanted and not _deaf(judge, without, rival)]
     rows = judge.ranked([own, *sound], without.cost)
     kept = dict((rows[0].name, rows) if other == name else (other, kept) for other, kept in decision.kept.items())
@@ -361,7 +364,7 @@ class Judge:
     """Judges fits by held-out costs, with block bootstrap."""
 
     investigation: Investigation
-    generator: np.random.Generator
+    seed: int  # of the resamples
     first: Mapping[str, Array]  # costs without any effect
     nominal: Score = Score([], np.zeros((0, 0)), np.zeros(0))  # there, of the catalogue's effects
 
@@ -406,7 +409,8 @@ class Judge:
     def chance(self, before: Mapping[str, Array], after: Mapping[str, Array]) -> float:
         """Return the share of block-bootstrap resamples in which the loss does not fall."""
         sums = self._blocks(before, after)
-        drawn = sums[self.generator.integers(len(sums), size=(RESAMPLES, len(sums)))].sum(axis=1)
+        generator = np.random.default_rng(self.seed)
+        drawn = sums[generator.integers(len(sums), size=(RESAMPLES, len(sums)))].sum(axis=1)
         return float((drawn <= 0.0).mean())
 
     def _blocks(self, before: Mapping[str, Array], after: Mapping[str, Array]) -> Array:

@@ -58,7 +58,6 @@ class StageProblem:
     vehicle: Vehicle
     names: tuple[str, ...]  # of θ, in this stage
     sigma: Array  # (C,)
-    threads: int
 
     @classmethod
     def of(
@@ -68,14 +67,13 @@ class StageProblem:
         vehicle: Vehicle,
         unknowns: Sequence[Unknown],
         sigma: Array,
-        threads: int,
         *,
         whole: bool = False,
     ) -> "StageProblem":
         """Choose the unknowns that matter to the stage, and its kernel; `whole`: one with the whole catalogue."""
         kernel = kernels.choose(vehicle, whole=whole)
         matter = [u.name for u in unknowns if _matters(evidence, kernel, vehicle, u.name)]
-        return cls(evidence, kernel, vehicle, tuple(matter), sigma, threads)
+        return cls(evidence, kernel, vehicle, tuple(matter), sigma)
 
     @staticmethod
     def touched(evidence: Evidence, kernels: StageKernels, vehicle: Vehicle, unknowns: Sequence[Unknown]) -> bool:
@@ -158,7 +156,7 @@ class StageProblem:
     def errors(self, theta: Mapping[str, float], initial: Array) -> Array:
         """Return simulated − measured (T + 1, C, W)."""
         windows = replace(self.windows(theta), initial=initial)
-        return self.rollout.predict(self.parameters(theta), windows, self.threads) - windows.measured
+        return self.rollout.predict(self.parameters(theta), windows) - windows.measured
 
     def at(self, theta: Mapping[str, float]) -> "StageProblem":
         """Return the stage's share at θ, of which nothing varies."""
@@ -495,7 +493,7 @@ def expected_errors(stage: StageProblem, theta: Mapping[str, float], initial: Ar
     generator = np.random.default_rng(seed)
     alone = stage.at(theta)
     still = replace(alone.windows({}), initial=initial)
-    truth = stage.rollout.predict(alone.parameters({}), still, stage.threads)
+    truth = stage.rollout.predict(alone.parameters({}), still)
     noisy = replace(alone, evidence=stage.evidence.with_noisy_inputs(generator))
     work = _Work(noisy, {}, None)
     shown = truth + noise[:, None] * generator.standard_normal(truth.shape)
@@ -557,7 +555,7 @@ class _Work:
         windows, slope = self._now(theta), self.drift(theta)[1]
         with np.errstate(all="ignore"):
             parts = self.problem.rollout.accumulate(
-                self.problem.parameters(theta), windows, self.problem.threads, self.columns, self.silent
+                self.problem.parameters(theta), windows, columns=self.columns, silent=self.silent
             )
         M = self.mixing
         with np.errstate(invalid="ignore"):  # windows that blow up make the cost infinite
@@ -656,7 +654,7 @@ class _Work:
     def errors(self, theta: Mapping[str, float]) -> Array:
         """Return simulated − measured (T + 1, C, W) from the initial states as they are."""
         windows, parameters = self._now(theta), self.problem.parameters(theta)
-        return self.problem.rollout.predict(parameters, windows, self.problem.threads) - windows.measured
+        return self.problem.rollout.predict(parameters, windows) - windows.measured
 
     def losses(self, theta: Mapping[str, float]) -> float:
         """Return the summed loss of the windows, n as where the fit began; infinite where one blew up."""
@@ -668,7 +666,7 @@ class _Work:
         """Return the cost per window (W,), as the initial states are."""
         windows, parameters = self._now(theta), self.problem.parameters(theta)
         with np.errstate(all="ignore"):
-            squares = self.problem.rollout.squares(parameters, windows, self.problem.threads).sum(axis=1)
+            squares = self.problem.rollout.squares(parameters, windows).sum(axis=1)
             return np.asarray(squares + (self._away() ** 2 * self.precision).sum(axis=1))
 
     def _now(self, theta: Mapping[str, float]) -> Windows:

@@ -41,7 +41,7 @@ def learn(investigation: Investigation, seed: int) -> tuple[dict[str, Any], Foun
     seen, base = limits(investigation), investigation.base
     terms, network = LearnedResidual(**seen), LearnedNetwork(**seen)
     knowing = investigation.knowing({TERMS: [terms]})
-    judge = Judge(knowing, np.random.default_rng(seed), knowing.held_out(base))
+    judge = Judge(knowing, seed, knowing.held_out(base))
     knowing, found = sparse(knowing, _with(knowing, base, TERMS, terms))
     scored = replace(judge, investigation=knowing).score(TERMS, found, judge.first, knowing.floor)
     steps = [_step(judge, scored, found, scored.clear)]

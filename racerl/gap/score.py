@@ -58,7 +58,7 @@ def score(problem: StageProblem, unknowns: Sequence[Unknown], theta: Mapping[str
     windows.initial[len(STATE) :] = follow(car, problem.evidence)[:, problem.evidence.start]
     heard = [size + i for i, name in enumerate(rollout.active) if problem.heard(name)]
     asked = [*range(size), *heard]
-    parts = rollout.accumulate(problem.parameters(theta), windows, problem.threads, asked, problem.silent())
+    parts = rollout.accumulate(problem.parameters(theta), windows, columns=asked, silent=problem.silent())
     trust = np.array([problem.evidence.trust(rollout.active[i - size]) for i in heard])
     line = Linear.of(parts, size, problem.evidence)
     line = replace(line, xx=line.xx + np.diag(trust))

@@ -4,14 +4,21 @@
 symbolic graphs for optimal control. Both offer the same names; the parity test holds them together.
 """
 
+import functools
 import math
+import threading
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from typing import Any, ParamSpec, Protocol, TypeVar
 
 import torch
 
 Scalar = Any
 """One quantity per car: a float, a tensor of shape (N,) or a CasADi SX."""
+
+
+Given = ParamSpec("Given")
+Result = TypeVar("Result")
+SYMBOLIC = threading.RLock()
 
 
 class Ops(Protocol):
@@ -87,6 +94,20 @@ def _extremum(x: Scalar, y: Scalar, tensor_function: Callable[..., Any], float_f
         tensor, bound = (x, y) if isinstance(x, torch.Tensor) else (y, x)
         return tensor.clamp(max=bound) if float_function is min else tensor.clamp(min=bound)
     return float_function(x, y)
+
+
+def symbolic(function: Callable[Given, Result]) -> Callable[Given, Result]:
+    """Let in one thread at a time: CasADi's expressions share nodes, which threads must neither make nor drop at once.
+
+    The function returns no expression, so that all of its own are dropped before the next thread comes in.
+    """
+
+    @functools.wraps(function)
+    def alone(*given: Given.args, **named: Given.kwargs) -> Result:
+        with SYMBOLIC:
+            return function(*given, **named)
+
+    return alone
 
 
 class CasadiOps:

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from racerl.vehicle.actuator import Given
 from racerl.vehicle.codegen import QUICK, build, precision, statements
 from racerl.vehicle.integrate import rk4
-from racerl.vehicle.ops import TORCH, CasadiOps, Ops
+from racerl.vehicle.ops import TORCH, CasadiOps, Ops, symbolic
 from racerl.vehicle.parameter import replace_values, values
 from racerl.vehicle.vehicle import STATE, Vehicle
 
@@ -347,6 +347,7 @@ class Equations:
         shown = self.car(parameters).measured(dict(zip(self.vehicle.states, state, strict=True)), ops)
         return [shown[name] for name in self.observed]
 
+    @symbolic
     def effective(self) -> list[str]:
         """Return those of `names` that what is observed depends on."""
         import casadi
@@ -529,6 +530,7 @@ def _rates(vehicle: Vehicle) -> tuple[Any, Any, Any]:
     return x, u, vehicle.derivative(x, u, CasadiOps())
 
 
+@symbolic
 def fastest_rate(vehicle: Vehicle, states: Array) -> float:
     """Return the largest |eigenvalue| of ∂f/∂x over given states (S, N), in 1/s; RK4 is stable while h·|λ| < 2.7."""
     import casadi
@@ -540,6 +542,7 @@ def fastest_rate(vehicle: Vehicle, states: Array) -> float:
     return float(np.abs(np.linalg.eigvals(square)).max())
 
 
+@symbolic
 def settle(vehicle: Vehicle, windows: Windows) -> None:
     """Set the effects' own initial states to where they rest in the measured motion: one Newton step on their rates.
 
@@ -559,6 +562,7 @@ def settle(vehicle: Vehicle, windows: Windows) -> None:
     windows.initial[own] -= step[:, :, 0].T
 
 
+@symbolic
 def _active(rollout: Equations) -> list[str]:
     """Return the states that the observed channels depend on, in the vehicle's order."""
     import casadi
@@ -571,6 +575,7 @@ def _active(rollout: Equations) -> list[str]:
     return [name for i, name in enumerate(rollout.vehicle.states) if i in wanted]
 
 
+@symbolic
 def source(rollout: Equations) -> str:
     """Return the C source of the rollout and its sensitivities."""
     import casadi

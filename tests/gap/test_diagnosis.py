@@ -328,6 +328,7 @@ def test_effects_are_judged_again_beside_those_found_after_them(monkeypatch, sha
         return rows
 
     investigation = SimpleNamespace(
+        each=lambda function, items: list(map(function, items)),
         floor={"chassis": 0.0},
         noise_cost=lambda found: {"chassis": 0.0},
         without=lambda found, name: fit(found.names - {name}),
@@ -416,7 +417,7 @@ def test_an_effect_is_known_no_better_than_its_form(name, values, key, deviation
 def test_a_gain_that_is_noise_passed_on_no_longer_is_none(monkeypatch, noise, cost, deaf):
     """Ten windows at the cost of a usual one, where half of the noise's cost is in the loss."""
     monkeypatch.setattr("racerl.gap.name.wild", lambda *_: 30.0 * 100.0)
-    judge = Judge(SimpleNamespace(noise_cost=lambda _: {"chassis": noise}), np.random.default_rng(0), {})
+    judge = Judge(SimpleNamespace(noise_cost=lambda _: {"chassis": noise}), 0, {})
     decision = SimpleNamespace(cost={"chassis": np.full(10, cost)}, noise={"chassis": 1000.0})
     best = SimpleNamespace(found=None, gain=55.0, error=5.0)
     assert _deaf(judge, decision, best) == deaf

@@ -117,7 +117,7 @@ def test_a_parameter_that_states_remember_counts_with_what_it_did_before_the_win
     theta = {"effects.tyre_heating.loss": 0.4, "effects.tyre_heating.time": 15.0}
     unknowns = [Unknown(name, value, value, 0.1 * value, 10.0 * value) for name, value in theta.items()]
     kernels = StageKernels(evidence, make_car("vehicle=published"), [], car.effects)
-    problem = StageProblem.of(evidence, kernels, car, unknowns, evidence.noise(), 1)
+    problem = StageProblem.of(evidence, kernels, car, unknowns, evidence.noise())
     assert set(problem.memory.values()) == {"effects.tyre_heating.time"}
     work = _Work(problem, theta, None)
     line = work.linearise(theta)
@@ -178,7 +178,7 @@ def test_gradients_of_a_stage_are_those_of_its_cost(clean, stage, effect, names)
     unknowns = [Unknown(name, table[name], 1.0, -10.0, 100.0) for name in names]
     sigma = np.full(len(evidence.observed), 0.01)
     kernels = StageKernels(evidence, make_car("vehicle=published"), names, dict(car.effects))
-    problem = StageProblem.of(evidence, kernels, car, unknowns, sigma, 1)
+    problem = StageProblem.of(evidence, kernels, car, unknowns, sigma)
     assert set(problem.names) == set(names)
 
     def parts(theta):
@@ -201,7 +201,7 @@ def inertia_problem(log):
     unknowns = [Unknown("yaw_inertia", float(car.yaw_inertia), 1.0, 0.01, 1.0)]
     kernels = StageKernels(evidence, car, ["yaw_inertia"], {})
     sigma = np.maximum(evidence.noise(), 1e-3)
-    return Problem([StageProblem.of(evidence, kernels, car, unknowns, sigma, 1)], unknowns)
+    return Problem([StageProblem.of(evidence, kernels, car, unknowns, sigma)], unknowns)
 
 
 def test_windows_that_no_vehicle_foresees_do_not_decide(clean, monkeypatch):
