@@ -335,6 +335,21 @@ def test_a_hidden_effect_is_named_and_measured(damped):
 
 
 @needs_compiler
+def test_candidates_in_several_threads_are_those_in_one(damped):
+    names = ["yaw_damping", "tyre_relaxation", "tyre_heating", "lever_arm"]
+    investigation, shown = investigate(damped, *names), []
+    base = investigation.base
+    alone = [investigation.screen(base, name) for name in names]
+    tried = investigation.each(
+        lambda name: investigation.screen(base, name), names, lambda name, share: shown.append((name, share))
+    )
+    assert investigation.threads == 2 and [each.name for each in tried] == names
+    assert [each.gain for each in tried] == [each.gain for each in alone] and alone[0].gain > 0.0
+    assert [each.vehicle for each in tried] == [each.vehicle for each in alone]
+    assert shown == list(zip(names, (0.25, 0.5, 0.75, 1.0), strict=True))
+
+
+@needs_compiler
 def test_an_effect_starts_as_it_was_fitted_before_too(damped, monkeypatch):
     investigation = investigate(damped, "yaw_damping")
     fitted = dataclasses.replace(investigation.catalogue["yaw_damping"][0], coefficient=0.123)

@@ -4,6 +4,7 @@ import dataclasses
 import shutil
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import torch
 
 from racerl.vehicle import rollout as rollout_module
 from racerl.vehicle.effects.aero_drag import AeroDrag
+from racerl.vehicle.ops import symbolic
 from racerl.vehicle.parameter import replace_values, values
 from racerl.vehicle.rollout import Rollout, Windows, drive_by, roll_out
 from tests.vehicle.conftest import random_states
@@ -109,6 +111,22 @@ def test_threads_and_neighbours_change_nothing(car):
     alone = rollout.accumulate(theta, windows.take(np.array([77])))
     assert np.array_equal(one.H, two.H) and np.array_equal(one.g, two.g)
     assert np.allclose(one.H[77], alone.H[0], rtol=1e-12)
+
+
+def test_one_thread_at_a_time_builds_expressions():
+    inside, most = [], []
+
+    @symbolic
+    def build(number):
+        inside.append(number)
+        time.sleep(0.01)
+        most.append(len(inside))
+        inside.remove(number)
+        return number
+
+    with ThreadPoolExecutor(4) as pool:
+        assert list(pool.map(build, range(8))) == list(range(8))
+    assert max(most) == 1
 
 
 @needs_compiler
