@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from threading import Lock
 
 from racerl.gap.evidence import Evidence
 from racerl.gap.presence import only_shifts, with_all
@@ -31,7 +32,8 @@ class StageKernel:
 class StageKernels:
     """The kernels of a stage, by the effects in them: none, one, all that leave it apart from other stages, or all.
 
-    Few effects make fast kernels, many spare the compiler: sets of two and more share one.
+    Few effects make fast kernels, many spare the compiler: sets of two and more share one. Threads make different ones
+    at once, and wait for one that another makes.
     """
 
     def __init__(
@@ -46,6 +48,7 @@ class StageKernels:
         self._make = lambda effects: StageKernel(evidence, vehicle, free, effects)
         self._catalogue = catalogue
         self._made: dict[frozenset[str], StageKernel] = {}
+        self._locks: dict[frozenset[str], Lock] = {}
 
     def choose(self, vehicle: Vehicle, *, whole: bool = False) -> StageKernel:
         """Return the least kernel that has all the vehicle's effects in it; `whole`: the one that has all there are."""
@@ -55,9 +58,10 @@ class StageKernels:
             names = everything
         elif len(present) > 1:
             names = everything - self._coupling
-        if names not in self._made:
-            chosen = {name: effect for name, effect in self._catalogue.items() if name in names or only_shifts(effect)}
-            self._made[names] = self._make(chosen)
+        with self._locks.setdefault(names, Lock()):
+            if names not in self._made:
+                chosen = {n: effect for n, effect in self._catalogue.items() if n in names or only_shifts(effect)}
+                self._made[names] = self._make(chosen)
         return self._made[names]
 
 

@@ -181,16 +181,17 @@ def _round(
             each.name, investigation.add(current, each.name, each.vehicle), decision.cost, decision.noise
         )
 
-    def carried_on(row: Scored) -> Scored:
-        if row.gain <= max(CLOSE * most, row.error):
-            return row
-        return judge.score(row.name, investigation.converged(row.found), decision.cost, decision.noise)
-
     tried = investigation.each(screened, _shortlist(scores, lost), on_progress)
     shown = [each for each in tried if each is not None]
     hopeful = {each.name: each for name, score in scores.items() for each in _hopeful(shown, score, name)}
     scored = investigation.each(added, list(hopeful.values()))
     most = max((row.gain for row in scored), default=0.0)
+
+    def carried_on(row: Scored) -> Scored:
+        if row.gain <= max(CLOSE * most, row.error):
+            return row
+        return judge.score(row.name, investigation.converged(row.found), decision.cost, decision.noise)
+
     return judge.ranked(investigation.each(carried_on, scored), decision.cost)
 
 

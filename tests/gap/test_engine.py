@@ -2,6 +2,8 @@
 
 import dataclasses
 import shutil
+import time
+from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
 import numpy as np
@@ -332,6 +334,21 @@ def test_a_hidden_effect_is_named_and_measured(damped):
     assert decision.chosen == ["yaw_damping"]
     assert decision.found.theta["effects.yaw_damping.coefficient"] == pytest.approx(0.15, rel=0.1)
     assert decision.excess[-1] < 0.2 * decision.excess[0]
+
+
+def test_a_kernel_that_threads_ask_for_at_once_is_made_once(clean, monkeypatch):
+    car = make_car("+vehicle/effect=[aero_drag,downforce]")
+    kernels, made = StageKernels(Evidence.of([clean], CHASSIS, 40, 0.8), make_car(), [], car.effects), []
+
+    def make(effects):
+        time.sleep(0.05)
+        made.append(set(effects))
+        return object()
+
+    monkeypatch.setattr(kernels, "_make", make)
+    with ThreadPoolExecutor(4) as pool:
+        shown = list(pool.map(kernels.choose, [car] * 4))
+    assert len(set(map(id, shown))) == 1 and made == [set(car.effects)]
 
 
 @needs_compiler
