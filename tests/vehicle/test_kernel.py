@@ -30,25 +30,27 @@ def tables(car, names, count, seed=0):
 
 
 @needs_compiler
-@pytest.mark.parametrize("count", [1, 15, 16, 17, 400])
-def test_kernel_follows_torch_for_100_steps(built_car, count):
+def test_kernel_follows_torch_for_100_steps(built_car):
     names = [name for name in NAMES if name in values(built_car)]
     step = 0.001 if hasattr(built_car.drive, "current_limit") else 0.01
-    compiled = choose_motion(built_car, names, step, 1, CPU, torch.float32)
+    compiled = choose_motion(built_car, names, step, 5, CPU, torch.float32)
     assert isinstance(compiled, CompiledMotion)
-    exact = TorchMotion(built_car, names, step, 1)
-    state, command = random_states(built_car, count, seed=count)
+    exact = TorchMotion(built_car, names, step, 5)
+    state, command = random_states(built_car, 100)
     command = 0.5 * command
     state[3], state[7] = 3.0 + state[4], 3.0 + state[4]
-    table = tables(built_car, names, count)
-    got, rounded = state.float(), state.float()
-    for _ in range(100):
-        state, got = exact(state, command, table.double()), compiled(got, command.float(), table)
+    table = tables(built_car, names, 100)
+    counts = (1, 15, 16, 17, 100)  # cars; 16 fill a group
+    got, rounded = {n: state[:, :n].float() for n in counts}, state.float()
+    for _ in range(20):
+        state = exact(state, command, table.double())
+        got = {n: compiled(each, command[:, :n].float(), table[:, :n]) for n, each in got.items()}
         rounded = exact(rounded, command.float(), table)
     scale = state.abs().amax(dim=1, keepdim=True).clamp(min=1.0)
     # all effects at once: torch in single precision is itself off by as much
     rounding = float(((rounded - state).abs() / scale).max())
-    assert ((got - state).abs() / scale).max() < max(1e-5, 3.0 * rounding)
+    for n, each in got.items():
+        assert ((each - state[:, :n]).abs() / scale).max() < max(1e-5, 3.0 * rounding), n
 
 
 @needs_compiler
