@@ -107,15 +107,18 @@ def test_a_lost_car_stays_lost_and_alone(car):
 
 
 @needs_compiler
-def test_many_processes_may_build_at_once(tmp_path):
-    code = (
-        "import torch; from tests.vehicle.conftest import make_car; from racerl.vehicle.kernel import choose_motion;"
-        "print(choose_motion(make_car(), [], 0.01, 5, torch.device('cpu'), torch.float32).name)"
-    )
-    environment = {"XDG_CACHE_HOME": str(tmp_path), "PATH": "/usr/bin:/bin", "PYTHONPATH": "."}
+def test_many_processes_build_a_kernel_once(tmp_path):
+    """The compiler counts its calls and dawdles."""
+    (tmp_path / "bin").mkdir()
+    compiler = tmp_path / "bin" / "cc"
+    compiler.write_text(f'#!/bin/sh\necho "$@" >>{tmp_path}/calls\nsleep 0.1\nexec /usr/bin/cc "$@"\n')
+    compiler.chmod(0o755)
+    code = "from racerl.vehicle.codegen import build; print(build('int seven(void) { return 7; }').seven())"
+    environment = {"XDG_CACHE_HOME": str(tmp_path), "PATH": f"{compiler.parent}:/usr/bin:/bin", "PYTHONPATH": "."}
     jobs = [subprocess.Popen([sys.executable, "-c", code], env=environment, stdout=subprocess.PIPE) for _ in range(3)]
-    assert [job.communicate(timeout=120)[0].decode().strip() for job in jobs] == ["compiled"] * 3
+    assert [job.communicate(timeout=120)[0].decode().strip() for job in jobs] == ["7"] * 3
     assert [path.suffix for path in (tmp_path / "racerl" / "kernels").iterdir()] == [".so"]
+    assert (tmp_path / "calls").read_text().count(" -c ") == 1
 
 
 @needs_compiler
