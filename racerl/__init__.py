@@ -1,10 +1,14 @@
 """racerl: racing policies for small cars that work on the real car.
 
-Importing it registers `racerl/Race-v0` with Gymnasium.
+Imported after Gymnasium it registers `racerl/Race-v0` there; otherwise `racerl.register()` does, so that a command line
+that needs no environment does not wait for one.
 """
 
-from racerl.registration import register
+import sys
+
+from racerl.registration import register as register
 
 __version__ = "0.1.0"
 
-register()
+if "gymnasium" in sys.modules:
+    register()

@@ -2,13 +2,15 @@
 
 import logging
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from racerl import __version__
+from racerl import __version__, completion
+from racerl.choices import choices
 from racerl.errors import ConfigError, RacerlError, RunError
 
 if TYPE_CHECKING:
@@ -18,63 +20,21 @@ app = typer.Typer(
     name="racerl",
     help="Learn racing policies for small cars that work on the real car.",
     pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",  # Rich's own markup would swallow words in brackets
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 PAIRS = 12  # named on the terminal; the page names all
 HYDRA = {"allow_extra_args": True, "ignore_unknown_options": True}
 
 
-def _complete(incomplete: str) -> list[str]:
-    """Complete `group=choice` from the files under conf/."""
-    folder = Path(__file__).parent / "conf"
-    folder = folder if folder.is_dir() else folder.parent.parent / "conf"
-    plus = "+" if incomplete.startswith("+") else ""
-    word = incomplete.lstrip("+")
-    group, equals, _ = word.partition("=")
-    if not equals:
-        groups = sorted(path.name for path in folder.iterdir() if path.is_dir() and path.name != "hydra")
-        return [f"{plus}{name}=" for name in groups if name.startswith(word)]
-    choices = sorted(path.stem for path in (folder / group).glob("*.yaml")) if group.isidentifier() else []
-    return [f"{plus}{group}={name}" for name in choices if f"{group}={name}".startswith(word)]
+# second words of commands that are commands of their own
+TWO_WORDS = ("gap plan", "gap close", "report compare")
 
 
-def _complete_effect(incomplete: str) -> list[str]:
-    """Complete the name of an effect."""
-    folder = Path(__file__).parent / "vehicle" / "effects"
-    names = sorted(path.stem for path in folder.glob("*.py") if not path.stem.startswith("_"))
-    return [name for name in names if name.startswith(incomplete)]
-
-
-Overrides = Annotated[
-    list[str] | None,
-    typer.Argument(metavar="[GROUP=CHOICE | KEY=VALUE]...", autocompletion=_complete, show_default=False),
-]
-Run = Annotated[
-    list[str] | None,
-    typer.Argument(metavar="RUN [KEY=VALUE]...", autocompletion=_complete, show_default=False),
-]
-Runs = Annotated[
-    list[str] | None,
-    typer.Argument(metavar="[RUN]... [KEY=VALUE]...", autocompletion=_complete, show_default=False),
-]
-
-
-Benchmarks = Annotated[
-    list[str] | None,
-    typer.Argument(metavar="BENCHMARK [KEY=VALUE]...", autocompletion=_complete, show_default=False),
-]
-Sweeps = Annotated[
-    list[str] | None,
-    typer.Argument(metavar="SWEEP [GROUP=CHOICE | KEY=VALUE]...", autocompletion=_complete, show_default=False),
-]
-Controllers = Annotated[
-    list[str] | None,
-    typer.Argument(metavar="[CONTROLLER] [GROUP=CHOICE | KEY=VALUE]...", autocompletion=_complete, show_default=False),
-]
-Logs = Annotated[
-    list[str] | None,
-    typer.Argument(metavar="LOG... [KEY=VALUE]...", autocompletion=_complete, show_default=False),
-]
+def _words(metavar: str, *commands: str, others: Callable[[], list[str]] = list) -> Any:
+    """Return a command's words: what its usage calls them, and the commands whose groups complete them."""
+    complete = completion.overrides(*commands, others=others)
+    return typer.Argument(metavar=metavar, autocompletion=complete, show_default=False)
 
 
 def _version(wanted: bool) -> None:
@@ -96,7 +56,7 @@ def options(
 
 
 @app.command(context_settings=HYDRA)
-def train(overrides: Overrides = None) -> None:
+def train(overrides: Annotated[list[str] | None, _words("[GROUP=CHOICE | KEY=VALUE]...", "train")] = None) -> None:
     """Train a policy: racerl train +dr=friction_0.02 out=outputs/train/first
 
     Groups: vehicle track sim obs action dr algo budget. `--cfg job` shows all settings, `-m` runs several.
@@ -105,7 +65,7 @@ def train(overrides: Overrides = None) -> None:
 
 
 @app.command(context_settings=HYDRA)
-def evaluate(arguments: Run = None) -> None:
+def evaluate(arguments: Annotated[list[str] | None, _words("RUN [KEY=VALUE]...", "evaluate", "race")] = None) -> None:
     """Race a trained policy: racerl evaluate outputs/train/first laps=20
 
     Drives flying laps per seed; writes metrics.json and trajectories.parquet. A recorded drive is scored the same way:
@@ -120,7 +80,7 @@ def evaluate(arguments: Run = None) -> None:
 
 
 @app.command(context_settings=HYDRA)
-def record(overrides: Overrides = None) -> None:
+def record(overrides: Annotated[list[str] | None, _words("[GROUP=CHOICE | KEY=VALUE]...", "record")] = None) -> None:
     """Drive a simulated car and write a drive log: racerl record drive=programme out=outputs/record/first
 
     Groups: car vehicle sim track drive. Writes log.parquet, with the sensors' noise, and vehicle.yaml, what was driven.
@@ -129,7 +89,7 @@ def record(overrides: Overrides = None) -> None:
 
 
 @app.command(context_settings=HYDRA)
-def drive(overrides: Overrides = None) -> None:
+def drive(overrides: Annotated[list[str] | None, _words("[GROUP=CHOICE | KEY=VALUE]...", "drive")] = None) -> None:
     """Drive the simulated car yourself: racerl drive sim=motor_current out=outputs/drive/first
 
     Keyboard or gamepad; practice, then a counted session. Groups: car vehicle track sim. Writes log.parquet, and of the
@@ -139,7 +99,7 @@ def drive(overrides: Overrides = None) -> None:
 
 
 @app.command(context_settings=HYDRA)
-def optimum(overrides: Overrides = None) -> None:
+def optimum(overrides: Annotated[list[str] | None, _words("[GROUP=CHOICE | KEY=VALUE]...", "optimum")] = None) -> None:
     """Find the time-optimal lap: racerl optimum track=l_shape vehicle=f1tenth out=outputs/optimum/first
 
     Groups: vehicle track sim action. Writes optimum.json, raceline.csv (TUM format) and trajectory.parquet.
@@ -148,22 +108,32 @@ def optimum(overrides: Overrides = None) -> None:
 
 
 @app.command(context_settings=HYDRA)
-def report(arguments: Runs = None) -> None:
+def report(
+    arguments: Annotated[
+        list[str] | None, _words("[RUN]... [KEY=VALUE]...", "report", others=lambda: ["compare"])
+    ] = None,
+) -> None:
     """Draw the report: racerl report [RUN...]
 
     Writes one self-contained report.html about the runs and sweeps given, or about all under outputs/.
 
-    racerl report compare A B sets two drivers side by side: evaluate, drive or training runs, paper:rl, paper:human.
+    racerl report compare A B sets two drivers side by side (racerl report compare --help).
     """
-    words = arguments or []
-    if words[:1] == ["compare"]:
-        _run("compare", words[1:], _compare, positional="drivers")
-    else:
-        _run("report", words, _report, positional="runs")
+    _run("report", arguments, _report, positional="runs")
+
+
+@app.command("report compare", context_settings=HYDRA, hidden=True)
+def report_compare(arguments: Annotated[list[str] | None, _words("A B [KEY=VALUE]...", "compare")] = None) -> None:
+    """Set two drivers side by side: racerl report compare outputs/evaluate/mine paper:human
+
+    Each is a finished evaluate or drive run, a training run (its newest race), or the paper's own lap: paper:rl,
+    paper:human. Draws lines with marks at equal times, speed, delta time and steering; writes report.html.
+    """
+    _run("compare", arguments, _compare, positional="drivers")
 
 
 @app.command(context_settings=HYDRA)
-def data(arguments: Logs = None) -> None:
+def data(arguments: Annotated[list[str] | None, _words("LOG... [KEY=VALUE]...", "data")] = None) -> None:
     """Show what logs hold: racerl data drive.csv.gz, or racerl data bag.mcap data=ros2
 
     Channels, rates, noise, coverage, and a warning for every trap seen; writes data.json and report.html.
@@ -173,7 +143,7 @@ def data(arguments: Logs = None) -> None:
 
 @app.command()
 def effects(
-    name: Annotated[str | None, typer.Argument(metavar="[NAME]", autocompletion=_complete_effect)] = None,
+    name: Annotated[str | None, typer.Argument(metavar="[NAME]", autocompletion=completion.effects)] = None,
 ) -> None:
     """List the physical effects that can be added to a car, or explain one: racerl effects tyre_relaxation"""
     from racerl.vehicle import catalogue
@@ -194,7 +164,7 @@ def effects(
 
 
 @app.command(context_settings=HYDRA)
-def identify(arguments: Logs = None) -> None:
+def identify(arguments: Annotated[list[str] | None, _words("LOG... [KEY=VALUE]...", "identify")] = None) -> None:
     """Find a car's parameters in driving logs: racerl identify drive.csv.gz out=outputs/identify/first
 
     Groups: data vehicle method. Writes model.yaml, which every command takes as vehicle=, identification.json and
@@ -205,7 +175,9 @@ def identify(arguments: Logs = None) -> None:
 
 @app.command(context_settings=HYDRA)
 def gap(
-    arguments: Logs = None,
+    arguments: Annotated[
+        list[str] | None, _words("LOG... [KEY=VALUE]...", "gap", others=lambda: ["plan", "close"])
+    ] = None,
     out: Annotated[Path | None, typer.Option("--out", help="Folder for the results; the same as out=…")] = None,
 ) -> None:
     """Find what the real car does and the model does not: racerl gap drive.csv.gz out=outputs/gap/first
@@ -213,48 +185,84 @@ def gap(
     Locates the gap, names the missing effect, adds it and proves it on held-out windows. Groups: data vehicle. Writes
     verdict.json, model.yaml, which every command takes as vehicle=, and report.html.
 
-    racerl gap plan drive.csv.gz only says which effects the log could tell apart, and what to drive next;
-    without a log, it says so of the excitation programme that racerl record drives.
-    racerl gap close drive.csv.gz real=FILE (or the folder of a finished racerl gap) trains without and with what was
-    found, and races both, and a policy that knew, in the car of that file.
+    racerl gap plan LOG... only says which effects the log could tell apart, and what to drive next; racerl gap close
+    LOG... real=FILE says what naming the effects is worth to a policy (each has a --help of its own).
     """
-    words = [*(arguments or []), *([f"out={out}"] if out else [])]
-    if words[:1] == ["close"]:
-        _run("close", words[1:], _close, positional="logs")
-    elif words[:1] == ["plan"]:
-        given = any("=" not in word for word in words[1:])
-        _run("gap", words[1:] if given else ["logs=[]", *words[1:]], _plan, positional="logs")
-    else:
-        _run("gap", words, _gap, positional="logs")
+    _run("gap", [*(arguments or []), *([f"out={out}"] if out else [])], _gap, positional="logs")
+
+
+@app.command("gap plan", context_settings=HYDRA, hidden=True)
+def gap_plan(arguments: Annotated[list[str] | None, _words("[LOG]... [KEY=VALUE]...", "gap")] = None) -> None:
+    """Say which effects a log could tell apart, and what to drive next: racerl gap plan drive.csv.gz vehicle=published
+
+    Without a log, it says so of the excitation programme that racerl record drives. Keys are racerl gap's. Writes
+    plan.json and separability.svg.
+    """
+    words = arguments or []
+    given = any("=" not in word for word in words)
+    _run("gap", words if given else ["logs=[]", *words], _plan, positional="logs")
+
+
+@app.command("gap close", context_settings=HYDRA, hidden=True)
+def gap_close(
+    arguments: Annotated[list[str] | None, _words("LOG... real=FILE [KEY=VALUE]...", "train")] = None,
+) -> None:
+    """Find what naming is worth to a policy: racerl gap close drive.csv.gz real=car.yaml train=[algo=imitation]
+
+    Trains three policies, on the refitted vehicle, on the one with the effects found and on the car itself, and races
+    all three in that car. In place of logs: the folder of a finished racerl gap. real: a vehicle file or name.
+    gap=[WORDS] are racerl gap's, train=[WORDS] and all words that are no keys here racerl train's: budget=smoke. Own
+    keys: trainings (seeds of the policies) laps seeds threads out. Writes close.json.
+    """
+    from racerl.config import gather_words
+
+    _run("close", gather_words("close", arguments or [], "train"), _close, positional="logs")
 
 
 @app.command(context_settings=HYDRA)
-def sweep(arguments: Sweeps = None) -> None:
+def sweep(
+    arguments: Annotated[
+        list[str] | None, _words("SWEEP [GROUP=CHOICE | KEY=VALUE]...", "sweep", "train", others=completion.sweeps)
+    ] = None,
+) -> None:
     """Train and race every arm of an ablation: racerl sweep ablations
 
     One process per training, as many at once as there are cores; finished ones are passed over, interrupted ones go
     on. Own groups and keys: engine seeds cars laps starts threads out; other words are racerl train's: budget=smoke.
     """
-    words = arguments or []
-    if not any("=" not in word or word.startswith("name=") for word in words):
-        from racerl.sweep.definition import names
+    from racerl.config import gather_words
+    from racerl.sweep.definition import names, read_sweeps
 
+    words = arguments or []
+    named = [word.removeprefix("name=") for word in words if "=" not in word or word.startswith("name=")]
+    if not [word for word in named if not word.startswith("-")]:
         raise ConfigError(f"which sweep? There are {', '.join(names())}: racerl sweep ablations")
-    _run("sweep", _sweep_words(words), _sweep, positional="name")
+    read_sweeps(next(word for word in named if not word.startswith("-")))  # before anything heavy
+    _run("sweep", gather_words("sweep", words, "words"), _sweep, positional="name")
 
 
 @app.command(context_settings=HYDRA)
-def tune(arguments: Controllers = None) -> None:
+def tune(
+    arguments: Annotated[
+        list[str] | None,
+        _words("[CONTROLLER] [GROUP=CHOICE | KEY=VALUE]...", "tune", others=partial(choices, "controller")),
+    ] = None,
+) -> None:
     """Find a controller's numbers by driving the model: racerl tune mpc trials=60
 
-    Writes controller.yaml, which racerl evaluate takes as controller=FILE, and tune.json. Needs racerl[tune].
+    Writes controller.yaml, which racerl evaluate takes as controller=FILE, and tune.json. Needs Optuna: in your clone,
+    pip install -e '.[tune]'
     """
     words = arguments or []
     _run("tune", [word if "=" in word or word.startswith("-") else f"controller={word}" for word in words], _tune)
 
 
 @app.command(context_settings=HYDRA)
-def bench(arguments: Benchmarks = None) -> None:
+def bench(
+    arguments: Annotated[
+        list[str] | None, _words("BENCHMARK [KEY=VALUE]...", "bench", others=partial(choices, "benchmark"))
+    ] = None,
+) -> None:
     """Measure how fast racerl is on this machine: racerl bench identify
 
     Writes bench.json: seconds and ratios taken in one run, with threads, CPU and git sha.
@@ -493,23 +501,6 @@ def _print_verdict(console: Any, facts: dict[str, Any]) -> None:
         console.print(line, highlight=False, soft_wrap=True, markup=False)
 
 
-def _sweep_words(arguments: list[str]) -> list[str]:
-    """Return the words with those that are racerl train's gathered under one key."""
-    from racerl.config import own_keys, quote
-
-    mine = own_keys("sweep")
-    others = [
-        word
-        for word in arguments
-        if "=" in word
-        and not word.startswith("-")
-        and word.lstrip("+~").partition("=")[0].partition(".")[0] not in mine
-    ]
-    quoted = ",".join(map(quote, others))
-    kept = [word for word in arguments if word not in others]
-    return [*kept, f"words=[{quoted}]"] if others else kept
-
-
 def _sweep(settings: "Settings", out: Path) -> None:
     from racerl.config import compose_settings
     from racerl.console import Board
@@ -682,10 +673,17 @@ def _console() -> Any:
     return Console()
 
 
+def _joined(words: Sequence[str]) -> list[str]:
+    """Return a command line whose command is one word."""
+    two = " ".join(words[:2])
+    return [two, *words[2:]] if two in TWO_WORDS else list(words)
+
+
 def main() -> None:
     """Run the command line; a user's mistake ends with one line and exit code 2."""
     try:
-        code = app(standalone_mode=False)
+        with completion.for_bash():
+            code = app(_joined(sys.argv[1:]), standalone_mode=False)
     except (KeyboardInterrupt, typer.Abort):
         raise SystemExit(130) from None
     except Exception as error:

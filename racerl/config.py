@@ -4,12 +4,13 @@ A `./conf` beside the user shadows the packaged files. Overrides are Hydra's, wi
 `dr=X` mean the same, `track=` and `vehicle=` also take a file, and a run folder may be given without its key.
 """
 
+import difflib
 import os
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hydra import compose, initialize_config_dir
 from hydra import main as hydra_main
@@ -22,13 +23,20 @@ from hydra.plugins.search_path_plugin import SearchPathPlugin
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from racerl.assemble import build_race, conf_folder
-from racerl.documents import read_yaml, require_finite
-from racerl.env.adapters.gymnasium import RaceEnv, RaceVectorEnv
+from racerl.choices import choices, default_groups, own_keys
+from racerl.documents import conf_folder, read_yaml, require_finite
 from racerl.errors import ConfigError, DocumentError, suggest
+
+if TYPE_CHECKING:
+    from racerl.env.adapters.gymnasium import RaceEnv, RaceVectorEnv
 
 VERSION_BASE = "1.3"
 FILE_GROUPS = {"track": (".csv", ".yaml", ".yml"), "vehicle": (".yaml", ".yml"), "controller": (".yaml", ".yml")}
+SPOKEN = {"race": "evaluate", "compare": "report compare", "close": "gap close"}  # where the words are others
+# keys that must be given, as a user gives them
+ASKED = {"logs": "LOG…", "run": "RUN", "real": "LOG… real=FILE", "name": "SWEEP"}
+PATHS = ("logs", "run", "runs", "drivers")  # positional keys that name files or folders
+PAPER = "paper:"  # in place of a path: the paper's own laps
 VALUED = ("--cfg", "-c", "--info", "-i", "--package", "-p", "--config-dir", "-cd", "--config-name", "-cn")
 OPTIONS = (*VALUED, "--multirun", "-m", "--resolve", "--hydra-help", "--help")
 Settings = dict[str, Any]
@@ -71,8 +79,8 @@ def run_command(
     def job(config: DictConfig) -> None:
         out = _shortest(Path(HydraConfig.get().runtime.output_dir))
         try:
-            settings = _plain(config)
-            _check_keys(command, settings)
+            settings = _plain(command, config)
+            _check_values(command, settings, overrides)
             task(settings, out)
         except Exception as error:  # raised below: Hydra would print its own lines about it
             failures.append(error)
@@ -99,21 +107,28 @@ def _shortest(path: Path) -> Path:
 def compose_settings(command: str, overrides: Sequence[str] = ()) -> Settings:
     """Return the composed settings of a command, for use from Python."""
     _register()
+    words = _rewrite(command, list(overrides), None)
     try:
-        settings = _plain(_compose(command, _rewrite(command, list(overrides), None)))
+        settings = _plain(command, _compose(command, words))
     except (HydraException, OmegaConfBaseException) as error:
         raise _translate(command, error) from error
-    _check_keys(command, settings)
+    _check_values(command, settings, words)
     return settings
 
 
-def make_env(overrides: Sequence[str] = (), seed: int = 0) -> RaceEnv:
+def make_env(overrides: Sequence[str] = (), seed: int = 0) -> "RaceEnv":
     """Return one car as a Gymnasium environment, with the overrides of `racerl train`."""
+    from racerl.assemble import build_race
+    from racerl.env.adapters.gymnasium import RaceEnv
+
     return RaceEnv(build_race(compose_settings("train", overrides), cars=1, seeds=[seed]))
 
 
-def make_vector_env(num_envs: int = 1, overrides: Sequence[str] = (), seed: int = 0) -> RaceVectorEnv:
+def make_vector_env(num_envs: int = 1, overrides: Sequence[str] = (), seed: int = 0) -> "RaceVectorEnv":
     """Return a batch of cars as a Gymnasium vector environment, with the overrides of `racerl train`."""
+    from racerl.assemble import build_race
+    from racerl.env.adapters.gymnasium import RaceVectorEnv
+
     return RaceVectorEnv(build_race(compose_settings("train", overrides), cars=num_envs, seeds=[seed]))
 
 
@@ -127,11 +142,17 @@ def _register() -> None:
     Plugins.instance().register(_UserFolder)
 
 
-def _plain(config: DictConfig) -> Settings:
-    missing = sorted(str(key) for key in OmegaConf.missing_keys(config))
-    if missing:
-        raise ConfigError(f"{missing[0]} is missing; give {missing[0]}=…")
+def spoken(command: str) -> str:
+    """Return a command as a user types it."""
+    return f"racerl {SPOKEN.get(command, command)}"
+
+
+def _plain(command: str, config: DictConfig) -> Settings:
+    if missing := sorted(str(key) for key in OmegaConf.missing_keys(config)):
+        asked = f"write {spoken(command)} {ASKED[missing[0]]}" if missing[0] in ASKED else f"give {missing[0]}=…"
+        raise ConfigError(f"{missing[0]} is missing; {asked}")
     settings: Settings = OmegaConf.to_container(config, resolve=True)  # type: ignore[assignment]
+    _check_keys(command, settings)
     try:
         require_finite(settings, "config")
     except DocumentError as error:
@@ -173,13 +194,26 @@ def _rewrite_override(word: str, groups: set[str]) -> Iterator[str]:
     if group in groups and value == "null":
         raise ConfigError(f"{word}: a choice of conf/{group} is expected; leave the word out for the usual one")
     if group in FILE_GROUPS and value.lower().endswith(FILE_GROUPS[group]):
+        _require_file(group, value)
         yield f"{group}=file"
         yield f"{group}.file={quote(value)}"
     else:
         yield word.lstrip("+") if group in groups else word
 
 
+def _require_file(group: str, value: str) -> None:
+    """Raise ConfigError where a group's file is neither here nor, as tracks may be, among the packaged ones."""
+    if not Path(value).is_file() and not (conf_folder() / group / value).is_file():
+        raise ConfigError(
+            f"{group} = {value}: no such file in {Path.cwd()}; give the path of one, or a name: "
+            f"{', '.join(choices(group))}"
+        )
+
+
 def _bare_override(positional: str, bare: list[str]) -> str:
+    for word in bare:
+        if positional in PATHS and not word.startswith(PAPER) and not Path(word).exists():
+            raise ConfigError(f"{word}: no such file or folder in {Path.cwd()}; check the path")
     if positional.endswith("s"):
         return f"{positional}=[{','.join(quote(word) for word in bare)}]"
     if len(bare) > 1:
@@ -187,22 +221,48 @@ def _bare_override(positional: str, bare: list[str]) -> str:
     return f"{positional}={quote(bare[0])}"
 
 
+def gather_words(command: str, arguments: Sequence[str], key: str) -> list[str]:
+    """Return a user's words with those that are `racerl train`'s, which are no keys of the command, in one list.
+
+    The list may have been begun by the user, or else by the configuration. Words inside a list need no quotes.
+    """
+    mine = own_keys(command)
+    lists = {name for name, value in read_yaml(conf_folder() / f"{command}.yaml").items() if isinstance(value, list)}
+    kept: list[str] = []
+    begun: list[str] | None = None
+    others: list[str] = []
+    for word in arguments:
+        name, equals, value = word.lstrip("+~").partition("=")
+        if not equals or word.startswith("-"):
+            kept.append(word)
+        elif name == key:
+            begun = _listed(value)
+        elif name in lists and any(map(_is_override, _listed(value))):
+            kept.append(f"{name}=[{','.join(map(quote, _listed(value)))}]")
+        elif name.partition(".")[0] in mine:
+            kept.append(word)
+        else:
+            others.append(word)
+    if begun is None and not others:
+        return kept
+    usual = read_yaml(conf_folder() / f"{command}.yaml")[key]
+    return [*kept, f"{key}=[{','.join(map(quote, [*(usual if begun is None else begun), *others]))}]"]
+
+
+def _listed(value: str) -> list[str]:
+    """Return the words of `[a=1,b=[2,3]]`, split at the commas that are in no inner bracket or quotes."""
+    inner = value.strip().removeprefix("[").removesuffix("]") if value.strip().startswith("[") else value
+    words = re.findall(r"""(?:[^,\[\]'"]|\[[^\]]*\]|'[^']*'|"[^"]*")+""", inner)
+    return [word.strip().strip("'\"") for word in words if word.strip()]
+
+
+def _is_override(word: str) -> bool:
+    return "=" in word
+
+
 def quote(value: str) -> str:
     """Return a word in quotes that Hydra reads back as it is."""
     return "'" + value.replace("\\", "\\\\").replace("'", "\\'") + "'"
-
-
-def default_groups(command: str) -> list[str]:
-    """Return the groups that a command's configuration chooses from."""
-    entries = read_yaml(conf_folder() / f"{command}.yaml").get("defaults", [])
-    names = [next(iter(entry)) for entry in entries if isinstance(entry, Mapping)]
-    return [name for name in names if not name.startswith("override ")]
-
-
-def own_keys(command: str) -> set[str]:
-    """Return the groups and keys that a command's configuration has."""
-    base = read_yaml(conf_folder() / f"{command}.yaml")
-    return {*default_groups(command), *(key for key in base if key != "defaults")} - {"hydra"}
 
 
 def _check_keys(command: str, settings: Settings) -> None:
@@ -210,10 +270,31 @@ def _check_keys(command: str, settings: Settings) -> None:
     base, known = read_yaml(conf_folder() / f"{command}.yaml"), own_keys(command)
     for key in settings:
         if key not in known:
-            raise ConfigError(f"unknown key '{key}'{suggest(key, known)}")
+            raise _unknown_key(command, key, known)
     optional = {next(iter(e)) for e in base["defaults"] if isinstance(e, Mapping) and next(iter(e.values())) is None}
     for key in sorted(known - set(settings) - optional):
         raise ConfigError(f"{key} was removed; it is needed, give {key}=…")
+
+
+def _check_values(command: str, settings: Settings, overrides: Sequence[str]) -> None:
+    """Raise ConfigError for a word where there was a number."""
+    given = [word.lstrip("+").partition("=")[0] for word in overrides if "=" in word and not word.startswith("~")]
+    words = {key: value for key in given if isinstance(value := _at(settings, key), str)}
+    if not words:
+        return
+    groups = set(default_groups(command))
+    chosen = [word for word in overrides if word.lstrip("+").partition("=")[0] in groups]
+    base = OmegaConf.to_container(_compose(command, chosen), resolve=False)
+    for key, value in words.items():
+        if isinstance(usual := _at(base, key), int | float) and not isinstance(usual, bool):
+            raise ConfigError(f"{key} = {value}: a number is expected")
+
+
+def _at(settings: Any, key: str) -> Any:
+    """Return what stands under a dotted key; None where nothing does."""
+    for name in key.split("."):
+        settings = settings.get(name) if isinstance(settings, Mapping) else None
+    return settings
 
 
 def _keys(settings: Any, prefix: str = "") -> Iterator[str]:
@@ -240,5 +321,16 @@ def _translate(command: str, error: Exception) -> ConfigError:
     )
     if key:
         known = [*_keys(OmegaConf.to_container(_compose(command, []), resolve=False)), *default_groups(command)]
-        return ConfigError(f"unknown key '{key[1]}'{suggest(key[1], known)}")
+        return _unknown_key(command, key[1], known)
     return ConfigError(text)
+
+
+def _unknown_key(command: str, key: str, known: Collection[str]) -> ConfigError:
+    """Return what to say of a key that is not there: the nearest by its whole name or its last, and where all are."""
+    last, names = key.rpartition(".")[2], sorted(set(known))
+    ends = difflib.get_close_matches(last, {name.rpartition(".")[2] for name in names}, n=3, cutoff=0.75)
+    near = difflib.get_close_matches(key, names, n=3, cutoff=0.7)
+    near += [name for end in ends for name in names if name.rpartition(".")[2] == end and name not in near]
+    groups = ", ".join(sorted(default_groups(command)))
+    told = f"did you mean {' or '.join(near[:3])}?" if near else f"its groups are {groups}." if groups else ""
+    return ConfigError(f"unknown key '{key}'; {told} All keys: {spoken(command)} --cfg job")

@@ -10,10 +10,9 @@ from rich.live import Live
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from racerl.train.session import Progress as TrainProgress
-
 if TYPE_CHECKING:
     from racerl.sweep.engine import Status
+    from racerl.train.session import Progress as TrainProgress
 
 PLAIN_PERIOD = 10.0  # s between lines without a terminal
 
@@ -106,7 +105,7 @@ def _cells(row: "Status") -> tuple[str, str, str, str]:
     )
 
 
-def training_remark(progress: TrainProgress) -> str:
+def training_remark(progress: "TrainProgress") -> str:
     """Return steps/s, reward and the current evaluation lap in one line."""
     evaluation = progress.evaluation
     lap = "no lap yet"

@@ -3,6 +3,8 @@
 import difflib
 from collections.abc import Iterable
 
+LISTED = 24  # choices that a line names; of more only the nearest
+
 
 class RacerlError(Exception):
     """A mistake in what the user gave; the command line prints it as one line without a traceback."""
@@ -41,9 +43,12 @@ class PolicyError(RacerlError):
 
 
 def suggest(value: str, choices: Iterable[str], most: int = 3) -> str:
-    """Return "; did you mean …?" with the nearest choices, or all choices when none is near."""
+    """Return "; did you mean …?" with the near choices; all choices, or the nearest of many, when none is near."""
     known = sorted(set(choices))
     near = difflib.get_close_matches(value, known, n=most, cutoff=0.6)
     if near:
         return f"; did you mean {' or '.join(near)}?"
+    if len(known) > LISTED:
+        nearest = difflib.get_close_matches(value, known, n=most, cutoff=0.0)
+        return f"; there are {len(known)}, the nearest {', '.join(nearest)}"
     return f"; choose from: {', '.join(known)}" if known else ""

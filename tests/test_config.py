@@ -4,7 +4,8 @@ import pytest
 
 from racerl import registry
 from racerl.assemble import build_race
-from racerl.config import compose_settings, default_groups, make_env, run_command
+from racerl.choices import default_groups
+from racerl.config import compose_settings, make_env, run_command
 from racerl.errors import ConfigError, RacerlError
 from racerl.identify import methods
 from racerl.record.drivers import create_driver

@@ -72,7 +72,7 @@ def interrupted(leave: Callable[[], None]) -> Iterator[None]:
 def require_pygame() -> None:
     """Raise ConfigError where pygame is not installed; keep it from greeting on the terminal."""
     if importlib.util.find_spec("pygame") is None:
-        raise ConfigError("racerl drive needs pygame: pip install 'racerl[drive]'")
+        raise ConfigError("racerl drive needs pygame: in your clone, pip install -e '.[drive]'")
     os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
 
 

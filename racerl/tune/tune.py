@@ -100,6 +100,6 @@ def _optuna() -> Any:
     try:
         import optuna
     except ModuleNotFoundError as error:
-        raise RacerlError("racerl tune needs optuna: pip install 'racerl[tune]'") from error
+        raise RacerlError("racerl tune needs optuna: in your clone, pip install -e '.[tune]'") from error
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     return optuna

@@ -196,7 +196,7 @@ def test_every_frame_shows_the_car_where_it_is(tmp_path, monkeypatch):
 
 def test_without_pygame_one_line_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pygame", None)
-    with pytest.raises(ConfigError, match=r"^racerl drive needs pygame: pip install 'racerl\[drive\]'$"):
+    with pytest.raises(ConfigError, match=r"^racerl drive needs pygame: in your clone, pip install -e '\.\[drive\]'$"):
         driven(tmp_path / "out")
     assert not (tmp_path / "out").exists()
 

@@ -12,8 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from racerl.cli import _sweep_words
-from racerl.config import compose_settings
+from racerl.config import compose_settings, gather_words
 from racerl.errors import RacerlError
 from racerl.sweep.definition import read_sweeps
 from racerl.sweep.jobs import plan
@@ -151,7 +150,8 @@ def test_a_mistake_is_told_and_leaves_nothing(place, monkeypatch, words, said):
 
 
 def test_words_that_are_no_own_keys_are_those_of_training():
-    words = _sweep_words(["mine", "budget=smoke", "+dr=none", "engine.jobs=2", "laps=3", "vehicle.friction=0.7", "-m"])
+    given = ["mine", "budget=smoke", "+dr=none", "engine.jobs=2", "laps=3", "vehicle.friction=0.7", "-m"]
+    words = gather_words("sweep", given, "words")
     assert words == [
         "mine",
         "engine.jobs=2",

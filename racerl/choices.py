@@ -1,0 +1,28 @@
+"""What conf/ offers: the groups and keys of a command, the choices of a group.
+
+Reads files alone, so that completion and errors need not compose anything.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from racerl.documents import conf_folder, read_yaml
+
+
+def default_groups(command: str) -> list[str]:
+    """Return the groups that a command's configuration chooses from."""
+    entries = read_yaml(conf_folder() / f"{command}.yaml").get("defaults", [])
+    names = [next(iter(entry)) for entry in entries if isinstance(entry, Mapping)]
+    return [name for name in names if not name.startswith("override ") and name != "hydra"]
+
+
+def own_keys(command: str) -> set[str]:
+    """Return the groups and keys that a command's configuration has."""
+    base = read_yaml(conf_folder() / f"{command}.yaml")
+    return {*default_groups(command), *(key for key in base if key != "defaults")}
+
+
+def choices(group: str) -> list[str]:
+    """Return the names in a group, those of a ./conf here included; a group that stands for files has none of them."""
+    folders = (Path("conf") / group, conf_folder() / group)
+    return sorted({path.stem for folder in folders for path in folder.glob("*.yaml")} - {"file"})

@@ -1,0 +1,85 @@
+"""What the shell offers behind <TAB>: groups and choices, sweeps, controllers, benchmarks, effects, second words.
+
+Bash breaks words at `=` and `:`, and puts an answer in place of the last piece. So its pieces are joined before
+anything looks at them, and of an answer only what lies behind the last break is printed. `bud` is answered by
+`budget=laptop` and its like, of which the shell takes what they share: no blank lands behind the `=`.
+"""
+
+import contextlib
+import io
+import os
+import shlex
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from racerl.choices import choices, default_groups
+from racerl.documents import packaged
+
+BREAKS = "=:"  # of Bash's COMP_WORDBREAKS, those that racerl's words hold
+BASH = "_RACERL_COMPLETE", "complete_bash"  # what the shell's hook sets
+
+
+def overrides(*commands: str, others: Callable[[], list[str]] = list) -> Callable[[str], list[str]]:
+    """Return what completes words for commands: group=choice, and other words that they may begin with."""
+
+    def complete(incomplete: str) -> list[str]:
+        plus = "+" if incomplete.startswith("+") else ""
+        word = incomplete.lstrip("+")
+        groups = dict.fromkeys(group for command in commands for group in _groups(command))
+        offered = [f"{group}={choice}" for group in groups for choice in choices(group)]
+        found = [f"{plus}{each}" for each in offered if each.startswith(word)]
+        return found + ([each for each in others() if each.startswith(word)] if not plus and "=" not in word else [])
+
+    return complete
+
+
+def _groups(command: str) -> list[str]:
+    """Return a command's groups, and those inside them that add something."""
+    groups = default_groups(command)
+    return [*groups, *(["vehicle/effect"] if "vehicle" in groups else [])]
+
+
+def sweeps() -> list[str]:
+    """Return the names of all sweeps."""
+    folders = (Path("sweeps"), packaged("sweeps"))
+    return sorted({path.stem for folder in folders for path in folder.glob("*.yaml")})
+
+
+def effects(incomplete: str) -> list[str]:
+    """Complete the name of an effect."""
+    return [name for name in choices("vehicle/effect") if name.startswith(incomplete)]
+
+
+def joined(words: list[str], cursor: int) -> tuple[list[str], int, int]:
+    """Return words with Bash's pieces put together, the place of the one at the cursor, and how much of it is fixed."""
+    whole: list[str] = []
+    glued, at, fixed = False, 0, 0
+    for number, piece in enumerate(words[: cursor + 1]):
+        breaks = bool(piece) and all(letter in BREAKS for letter in piece)
+        if whole and (breaks or glued):
+            fixed = len(whole[-1]) + (len(piece) if breaks else 0)
+            whole[-1] += piece
+        else:
+            whole.append(piece)
+            fixed = 0
+        glued = breaks
+        at = len(whole) - 1 if number == cursor else at
+    return whole, at, fixed
+
+
+@contextlib.contextmanager
+def for_bash() -> Iterator[None]:
+    """Mend what Bash breaks, where it is the one that asks."""
+    variable, asked = BASH
+    if os.environ.get(variable) != asked:
+        yield
+        return
+    words = os.environ.get("COMP_WORDS", "").split("\n")
+    words, at, fixed = joined(words, min(int(os.environ.get("COMP_CWORD", "0")), len(words) - 1))
+    os.environ["COMP_WORDS"], os.environ["COMP_CWORD"] = "\n".join(map(shlex.quote, words)), str(at)
+    printed = io.StringIO()
+    try:
+        with contextlib.redirect_stdout(printed):
+            yield
+    finally:
+        print("\n".join(line[fixed:] for line in printed.getvalue().splitlines()))
