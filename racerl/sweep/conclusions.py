@@ -22,7 +22,7 @@ def banner(facts: Mapping[str, Any]) -> str:
     if not facts["trial_steps"]:
         return ""
     return (
-        f"Trial budget: trainings of {facts['trial_steps']:,} control steps show that the sweep runs, not what is true. "
+        f"Trial budget: trainings of {facts['trial_steps']:,} control steps show that a sweep runs, not what is true. "
         "For verdicts: budget=laptop"
     )
 

@@ -13,9 +13,10 @@ from racerl.documents import packaged, read_yaml
 from racerl.errors import ConfigError, suggest
 from racerl.registry import construct
 
+
 @dataclass(frozen=True)
 class Metric:
-    """What is measured: its name in a sentence, its unit, how many of its unit 1 is, and the digits that it is told with."""
+    """What is measured: its name in a sentence, its unit, how many of it 1 is, and the digits it is told with."""
 
     name: str
     unit: str

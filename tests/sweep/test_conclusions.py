@@ -14,7 +14,10 @@ def facts(*verdicts, trial_steps=None):
 def test_the_headline_counts_every_verdict():
     found = facts(("refuted", ""), ("undecided", "1 training"), ("not tested", "mpc has not been driven"))
     assert headline(found) == "0 supported, 1 refuted, 1 undecided, 1 not tested" and not banner(found)
-    assert lines(found)[2:] == ["claim 2: undecided, 1 training: so", "claim 3: not tested, mpc has not been driven: so"]
+    assert lines(found)[2:] == [
+        "claim 2: undecided, 1 training: so",
+        "claim 3: not tested, mpc has not been driven: so",
+    ]
 
 
 def test_a_trial_has_a_banner_and_no_verdicts():

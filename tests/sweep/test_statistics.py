@@ -113,7 +113,9 @@ def test_the_least_trained_arm_counts_and_what_is_not_trained_does_not():
     assert told(verdict(SLOWER, laps[only[0]], trainings[only[1]])) == "undecided, 1 training"
     one = (laps["seed"] == 0) & (laps["arm"] == "b"), (trainings["seed"] == 0) & (trainings["arm"] == "b")
     rival = laps[one[0]].assign(seed=UNTRAINED), trainings[one[1]].assign(seed=UNTRAINED)
-    mixed = [pd.concat([whole[whole["arm"] == "a"], part]) for whole, part in zip((laps, trainings), rival, strict=True)]
+    mixed = [
+        pd.concat([whole[whole["arm"] == "a"], part]) for whole, part in zip((laps, trainings), rival, strict=True)
+    ]
     assert verdict(SLOWER, *mixed)["verdict"] == "supported"
 
 
