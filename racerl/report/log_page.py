@@ -41,7 +41,7 @@ def headline(facts: dict[str, Any]) -> str:
 
 def _section(folder: Path, number: int, table: pd.DataFrame, facts: dict[str, Any]) -> dict[str, Any]:
     drawn = (
-        ("channels", "Channels", "Thin black lines part the runs.", log_channels.draw(table, facts)),
+        ("channels", "Channels", "Thin vertical lines part the runs.", log_channels.draw(table, facts)),
         (
             "coverage",
             "Coverage",

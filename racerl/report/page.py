@@ -18,6 +18,8 @@ PROVENANCE = ("git_sha", "cpu", "threads", "seconds", "seed")
 VARIABLES = {INK: "ink", "#ffffff": "page", PAPER: "muted", "#b0b0b0": "muted", WARNING: "warning"}
 VARIABLES |= {light: f"c{i}" for i, (light, _) in enumerate(PALETTE)}
 
+SCALES = (0.89, 1.53)  # px of a page per point of a figure, at least so that it can be read, and at most
+
 
 def figure(path: Path, title: str, caption: str, svg: str) -> dict[str, str]:
     """Write a figure's file; return what a page shows of it by `figure.html.j2`."""
@@ -27,14 +29,16 @@ def figure(path: Path, title: str, caption: str, svg: str) -> dict[str, str]:
 
 def inline(svg: str, title: str, prefix: str) -> Markup:
     """Return a figure as an element of a page: as wide as there is room, its ids its own, its colours the page's."""
-    view = re.search(r'viewBox="[^"]*"', svg)
+    view = re.search(r'viewBox="0 0 ([0-9.]+) [^"]*"', svg)
     if view is None:
         raise ValueError(f"the figure '{title}' is no SVG with a viewBox")
     body = svg[svg.index(">", view.end()) + 1 : svg.rindex("</svg>")]
     body = re.sub(r"<(metadata|style)\b.*?</\1>", "", body, flags=re.DOTALL)
     body = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{prefix}", body)
     body = re.sub(r"(?<=: )#[0-9a-f]{6}\b", lambda found: _variable(found[0]), body)
-    head = f'<svg role="img" aria-label="{escape(title)}" {view[0]} xmlns:xlink="http://www.w3.org/1999/xlink">'
+    least, most = (scale * float(view[1]) for scale in SCALES)
+    size = f'style="min-width: {least:.0f}px; max-width: {most:.0f}px"'
+    head = f'<svg role="img" aria-label="{escape(title)}" {view[0]} {size}>'
     return Markup(f"{head}{body}</svg>")  # noqa: S704 drawn by this package, which escapes its texts
 
 

@@ -20,7 +20,7 @@ FIGURES = (
         "channels",
         channels.draw,
         "Speed, steering and offset",
-        "Fastest lap over the track coordinate; n is positive to the left, the black lines are the boundaries.",
+        "Fastest lap over the track coordinate; n is positive to the left, the outer lines are the boundaries.",
     ),
     ("lap_times", lap_times.draw, "Lap times", "Every finished lap; the box spans the quartiles."),
     (

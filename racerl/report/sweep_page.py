@@ -178,7 +178,7 @@ def _cell(metric: str, found: dict[str, Any]) -> str:
     known, value = METRICS[metric], found["value"]
     between = interval(found["ci95"] and [known.scale * bound for bound in found["ci95"]], known.digits)
     shown = number(None if value is None else known.scale * value, known.digits)
-    return f"{shown} ({between})" if between else shown  # a single lap has no interval
+    return f"{shown}\n({between})" if between else shown  # a single lap has no interval
 
 
 def _table(found: Findings, sweep: dict[str, Any]) -> dict[str, Any]:
@@ -222,25 +222,29 @@ def _test(test: dict[str, Any]) -> dict[str, Any]:
 
 
 def _sentence(test: dict[str, Any], effect: float | None, ci95: Sequence[float] | None, unit: str) -> str:
-    """Return what a test found, numbers in `unit`; what it asks for where it found nothing."""
+    """Return what a test found, numbers in `unit`; what it compares where it found nothing."""
     where = "" if test["metric"] == "reward" else f"In the {test['car']}, "
     name = METRICS[test["metric"]].name
     ours = _together({arm: weight for arm, weight in test["weights"].items() if weight > 0})
     theirs = _together({arm: -weight for arm, weight in test["weights"].items() if weight < 0})
-    sure = f" ({ci95[0]:+.3g} … {ci95[1]:+.3g})" if ci95 and ci95[0] < ci95[1] else ""
-    size = "?" if effect is None else f"{abs(effect):.3g} {unit}"
+    sure = f" ({_signed(ci95[0])} … {_signed(ci95[1])} {unit})" if ci95 and ci95[0] < ci95[1] else ""
     if test["slope"]:
         places = ", ".join(f"{_words(arm)} at {x:g}" for arm, x in test["slope"].items())
-        said = f"the slope of the {name} over {places} is {'?' if effect is None else f'{effect:+.3g} {unit}'} per 1"
+        said = f"the slope of the {name} over {places}" + (
+            "" if effect is None else f" is {_signed(effect)} {unit} per 1"
+        )
     elif not theirs:
-        said = f"the {name} of {ours} is {size}"
-    elif effect == 0:
-        said = f"the {name} of {ours} equals that of {theirs}"
+        said = f"the {name} of {ours}" + ("" if effect is None else f" is {effect:.3g} {unit}")
+    elif not effect:
+        said = f"the {name} of {ours} {'against' if effect is None else 'equals'} that of {theirs}"
     else:
-        way = "above or below" if effect is None else "above" if effect > 0 else "below"
-        said = f"the {name} of {ours} is {size} {way} that of {theirs}"
+        said = f"the {name} of {ours} is {abs(effect):.3g} {unit} {'above' if effect > 0 else 'below'} that of {theirs}"
     sentence = f"{where}{said}{sure}"
     return sentence[0].upper() + sentence[1:]
+
+
+def _signed(value: float) -> str:
+    return f"{value:+.3g}".replace("-", "−")
 
 
 def _together(weights: Mapping[str, float]) -> str:

@@ -28,6 +28,8 @@ def draw(learning: pd.DataFrame, colours: Mapping[tuple[str, str], str]) -> str 
     names: dict[str, list[str]] = {}
     curves: dict[str, tuple[Array, Array]] = {}
     for (sweep, arm), rows in learning.groupby(["sweep", "arm"], sort=False):
+        if rows["steps"].nunique() < 2:
+            continue  # one update is no curve
         names.setdefault(colours[sweep, arm], []).append(str(arm))
         curves[colours[sweep, arm]] = _band(rows)
     if not curves:

@@ -17,14 +17,15 @@ MARKERS = "osD^v"  # of cars
 
 def draw(arms: Sequence[dict[str, Any]], colours: Mapping[tuple[str, str], str]) -> str | None:
     """Return the SVG from the metrics of arms in cars, `colours` by sweep and arm; None without any."""
-    if not arms:
+    panels = [panel for panel in PANELS if any(row[panel[0]]["value"] is not None for row in arms)]
+    if not panels:
         return None
     names = list(dict.fromkeys((row["sweep"], row["arm"]) for row in arms))
     cars = list(dict.fromkeys(row["car"] for row in arms))
     with style():
         figure = Figure(figsize=(WIDTH, 1.2 + 0.3 * len(names)))
-        axes = figure.subplots(1, len(PANELS), sharey=True)
-        for axis, (metric, title, scale) in zip(axes, PANELS, strict=True):
+        axes = figure.subplots(1, len(panels), sharey=True, squeeze=False).ravel()
+        for axis, (metric, title, scale) in zip(axes, panels, strict=True):
             for row in arms:
                 if row[metric]["value"] is None:
                     continue
