@@ -15,7 +15,7 @@ from racerl.report.figures.style import INK, PALETTE, PAPER, WARNING
 PAGE = "report.html"
 PROVENANCE = ("git_sha", "cpu", "threads", "seconds", "seed")
 # colours of figures that a page sets itself, light or dark: variables of base.html.j2
-VARIABLES = {INK: "ink", "#ffffff": "page", PAPER: "muted", "#b0b0b0": "muted", WARNING: "warning"}
+VARIABLES = {INK: "ink", "#ffffff": "page", PAPER: "muted", "#b0b0b0": "muted", "#dddddd": "line", WARNING: "warning"}
 VARIABLES |= {light: f"c{i}" for i, (light, _) in enumerate(PALETTE)}
 
 SCALES = (0.89, 1.53)  # px of a page per point of a figure, at least so that it can be read, and at most

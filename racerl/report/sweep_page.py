@@ -225,34 +225,42 @@ def _sentence(test: dict[str, Any], effect: float | None, ci95: Sequence[float] 
     """Return what a test found, numbers in `unit`; what it compares where it found nothing."""
     where = "" if test["metric"] == "reward" else f"In the {test['car']}, "
     name = METRICS[test["metric"]].name
-    ours = _together({arm: weight for arm, weight in test["weights"].items() if weight > 0})
-    theirs = _together({arm: -weight for arm, weight in test["weights"].items() if weight < 0})
+    ours, theirs = (
+        _together({arm: abs(weight) for arm, weight in test["weights"].items() if (weight > 0) == first})
+        for first in (True, False)
+    )
     sure = f" ({_signed(ci95[0])} … {_signed(ci95[1])} {unit})" if ci95 and ci95[0] < ci95[1] else ""
     if test["slope"]:
-        places = ", ".join(f"{_words(arm)} at {x:g}" for arm, x in test["slope"].items())
+        places = ", ".join(f"{_quoted(arm)} at {x:g}" for arm, x in test["slope"].items())
         said = f"the slope of the {name} over {places}" + (
             "" if effect is None else f" is {_signed(effect)} {unit} per 1"
         )
     elif not theirs:
-        said = f"the {name} of {ours}" + ("" if effect is None else f" is {effect:.3g} {unit}")
+        said = f"the {name} {ours}" + ("" if effect is None else f" is {effect:.3g} {unit}")
     elif not effect:
-        said = f"the {name} of {ours} {'against' if effect is None else 'equals'} that of {theirs}"
+        said = f"the {name} {ours} {'against' if effect is None else 'equals'} that {theirs}"
     else:
-        said = f"the {name} of {ours} is {abs(effect):.3g} {unit} {'above' if effect > 0 else 'below'} that of {theirs}"
+        said = f"the {name} {ours} is {abs(effect):.3g} {unit} {'above' if effect > 0 else 'below'} that {theirs}"
     sentence = f"{where}{said}{sure}"
     return sentence[0].upper() + sentence[1:]
 
 
 def _signed(value: float) -> str:
-    return f"{value:+.3g}".replace("-", "−")
+    return f"{value:+.3g}".replace("-", "−") if value else "0"
+
+
+def _quoted(arm: str) -> str:
+    return f"“{_words(arm)}”"
 
 
 def _together(weights: Mapping[str, float]) -> str:
-    """Return arms as words, with what their weights add up to where that is not 1; empty for none."""
-    names = [_words(arm) for arm in weights]
-    listed = f"{', '.join(names[:-1])} and {names[-1]} on average" if len(names) > 1 else "".join(names)
+    """Return "of" and the arms, with what their weights add up to where that is not 1; empty for none."""
+    names = [_quoted(arm) for arm in weights]
+    if not names:
+        return ""
+    listed = f"{', '.join(names[:-1])} and {names[-1]} on average" if len(names) > 1 else names[0]
     total = sum(weights.values())
-    return listed if not names or abs(total - 1.0) < 1e-9 else f"{listed}, times {total:.3g},"
+    return f"of {listed}" if abs(total - 1.0) < 1e-9 else f"of {listed} times {total:.3g}"
 
 
 def _formula(test: dict[str, Any]) -> str:

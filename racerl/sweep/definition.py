@@ -33,9 +33,9 @@ METRICS = {
     "lap_time": Metric("mean lap", "s"),
     "fastest": Metric("fastest valid lap", "s"),
     "e_off": Metric("E_off", "m s", digits=5),
-    "crash_share": Metric("laps with a crash", "%", 100.0, 0),
-    "valid_share": Metric("laps that never leave the track", "%", 100.0, 0),
-    "off_track": Metric("furthest off the track", "m"),
+    "crash_share": Metric("share of laps with a crash", "%", 100.0, 0),
+    "valid_share": Metric("share of laps that never leave the track", "%", 100.0, 0),
+    "off_track": Metric("furthest way off the track", "m"),
     "turn_in": Metric("lead of the steering over the track's curvature", "m"),
     "reward": Metric("training reward per step", "m", digits=4),
 }

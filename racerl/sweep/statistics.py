@@ -188,7 +188,7 @@ def _test(test: Comparison, sweep: Sweep, samples: Mapping[str, Samples]) -> dic
     }
     absent = sorted(arm for arm in test.arms if test.car not in samples or arm not in samples[test.car].per_seed)
     if absent:
-        return {**facts, "why": f"{_listed(absent)} has not been driven"}
+        return {**facts, "why": f"{_listed(absent)} {'has' if len(absent) == 1 else 'have'} not been driven"}
     mine = samples[test.car]
     effect = contrast(test, {arm: np.array([mine.value(arm, test.metric)]) for arm in test.arms})[0]
     interval = spread(contrast(test, {arm: mine.resampled[arm][test.metric] for arm in test.arms}))
@@ -205,7 +205,7 @@ def _test(test: Comparison, sweep: Sweep, samples: Mapping[str, Samples]) -> dic
 
 
 def _listed(arms: Sequence[str]) -> str:
-    return ", ".join(arm.replace("_", " ") for arm in arms)
+    return " and ".join(arm.replace("_", " ") for arm in arms)
 
 
 def contrast(test: Comparison, metrics: Mapping[str, Array]) -> Array:

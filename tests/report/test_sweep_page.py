@@ -13,8 +13,9 @@ from racerl.report.interval import draw as draw_interval
 from racerl.report.sweep_page import Findings, draw_sweep
 from racerl.run import RunFolder
 from racerl.sweep import statistics
+from racerl.sweep.conclusions import headline
 from racerl.sweep.definition import read_sweeps
-from racerl.sweep.statistics import MEASURES
+from racerl.sweep.statistics import MEASURES, told, weigh
 from racerl.sweep.sweep import LAPS, LEARNING, RESULTS, STEERING, TRAININGS, results
 
 TIMES = {"geometric": 5.5, "progress": 6.0, "speed_rate": 5.5, "speed": 5.4, "with_actuators": 5.5}
@@ -79,7 +80,7 @@ def test_the_title_counts_the_verdicts_of_the_results(folder, page):
 
 def test_a_claim_is_a_sentence_with_its_interval_and_the_formula_is_folded(page):
     assert re.search(
-        r"In the twin, the mean lap of geometric is 8\.\d+ % below that of progress \(−8\.\d+ … −8\.\d+ %\)\. "
+        r"In the twin, the mean lap of “geometric” is 8\.\d+ % below that of “progress” \(−8\.\d+ … −8\.\d+ %\)\. "
         r"Claimed: below 0 %\. <b>As claimed\.</b>",
         page,
     )
@@ -133,3 +134,15 @@ def test_the_interval_marks_threshold_and_zero(limit, dashes):
     shaded = re.search(r'class="claimed" x="([0-9.]+)" y="2" width="([0-9.]+)"', svg)
     first, width = float(shaded[1]), float(shaded[2])
     assert (first <= dot <= first + width) is False
+
+
+@pytest.mark.parametrize("name", ["ablations", "controllers"])
+def test_a_reference_page_agrees_with_its_results_and_says_first_what_is_stale(name):
+    folder = Path(__file__).parents[2] / "outputs" / "reference" / name
+    facts, page = json.loads((folder / RESULTS).read_text()), (folder / "report.html").read_text()
+    assert f"<h1>{headline(facts)}</h1>\n" in page
+    first = page.partition("</h1>\n")[2].partition("\n")[0]
+    assert re.match('<p class="warning">Made by git .*Stale: ', first)
+    for claim in facts["claims"]:
+        assert (claim["verdict"], claim["why"]) == weigh(claim["tests"])
+        assert f"<b>{told(claim)}</b>" in page

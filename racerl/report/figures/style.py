@@ -19,14 +19,14 @@ PALETTE = (
     ("#b0528f", "#df93c7"),  # mauve
     ("#4b3a94", "#9a8be0"),  # indigo
     ("#8a8a1f", "#c9c94e"),  # olive
-    ("#56a9db", "#a6dcf8"),  # sky
     ("#7a5230", "#b98f66"),  # brown
-    ("#14808c", "#4cc0cc"),  # teal
     ("#8e3fa8", "#c583dd"),  # violet
-    ("#5f6b76", "#a5b1bc"),  # slate
-    ("#b39a3c", "#e0cc78"),  # sand
+    ("#14808c", "#4cc0cc"),  # teal
     ("#1f5c2e", "#6fae7c"),  # dark green
     ("#1f3a6d", "#7c98d6"),  # navy
+    ("#b39a3c", "#e0cc78"),  # sand
+    ("#56a9db", "#a6dcf8"),  # sky
+    ("#5f6b76", "#a5b1bc"),  # slate
     ("#8f8f8f", "#8a8a8a"),  # grey
 )
 COLOURS = tuple(light for light, _ in PALETTE)
