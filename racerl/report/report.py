@@ -46,7 +46,7 @@ def report(settings: Mapping[str, Any], out: Path, outputs: Path = Path("outputs
     found = find_subjects(others, outputs) if others or not given else []
     subjects = found if given else [subject for subject in found if subject.evaluation is not None]
     if not subjects and not swept:
-        raise RunError(nothing(found, outputs))
+        raise RunError(nothing([run.path for run in around if run.manifest["stage"] == "train"], outputs))
     folder = RunFolder.start(out, "report", settings)
     figures = [
         figure(folder.path / f"{name}.svg", title, caption, svg)
@@ -61,7 +61,7 @@ def report(settings: Mapping[str, Any], out: Path, outputs: Path = Path("outputs
         rows=[*map(table_row, subjects), *paper_rows()] if subjects else [],
         figures=figures,
         sweeps=sweeps,
-        left_out="" if given else left_out(around, outputs, [s.name for s in found if s.evaluation is None]),
+        left_out="" if given else left_out(around, outputs, found),
         remarks=_remarks(subjects),
         provenance=[run for subject in subjects for run in origins(subject)],
     )
@@ -74,26 +74,32 @@ def headline(subjects: Sequence[Subject]) -> str:
     raced = [(s, s.evaluation.metrics) for s in subjects if s.evaluation is not None]
     if not raced:
         return f"{', '.join(subject.name for subject in subjects)}: not raced yet"
-    best, m = min(raced, key=lambda pair: (-pair[1]["valid_laps"] / pair[1]["laps"], pair[1]["mean_lap_s"] or math.inf))
+    best, m = min(raced, key=lambda pair: _rank(pair[1]))
     lap = "no lap finished" if m["mean_lap_s"] is None else f"{m['mean_lap_s']:.2f} s"
     others = f" ({best.title}, the cleanest of {len(raced)})" if len(raced) > 1 else ""
     return f"{lap}, {m['valid_laps']} of {m['laps']} laps clean{others}"
 
 
-def nothing(unraced: Sequence[Subject], outputs: Path) -> str:
+def _rank(m: Mapping[str, Any]) -> tuple[float, float]:
+    """Return what sorts the cleanest first, of equally clean ones the fastest."""
+    return -m["valid_laps"] / max(1, m["laps"]), math.inf if m["mean_lap_s"] is None else m["mean_lap_s"]
+
+
+def nothing(trained: Sequence[Path], outputs: Path) -> str:
     """Return why there is nothing to report, and the next command."""
-    if not unraced:
+    if not trained:
         return f"{outputs}: holds no finished run; train one with: racerl train +dr=friction_0.02"
-    return f"{outputs}: holds no run that was raced; race one with: racerl evaluate {outputs}/train/{unraced[-1].name}"
+    return f"{outputs}: holds no run that was raced; race one with: racerl evaluate {trained[-1]}"
 
 
-def left_out(around: Sequence[RunFolder], outputs: Path, unraced: Sequence[str]) -> str:
+def left_out(around: Sequence[RunFolder], outputs: Path, subjects: Sequence[Subject]) -> str:
     """Return one line about the runs that were found and have no laps to show; empty when there are none."""
     shown = (*RACED, "sweep", "report", "compare")
+    raced = {s.training["run_id"] for s in subjects if s.training is not None and s.evaluation is not None}
     stages: dict[str, list[str]] = {}
     for run in around:
         stage = run.manifest["stage"]
-        if stage not in shown and (stage != "train" or run.path.name in unraced):
+        if stage not in shown and run.manifest["run_id"] not in raced:
             stages.setdefault(stage, []).append(str(run.path.relative_to(outputs)))
     return "; ".join(f"{stage}: {', '.join(paths)}" for stage, paths in stages.items())
 

@@ -47,6 +47,14 @@ def test_the_title_is_the_result(raced, tmp_path):
     assert "<title>6.25 s, 1 of 4 laps clean</title>" in page and "<h1>6.25 s, 1 of 4 laps clean</h1>" in page
 
 
+def test_runs_without_a_lap_have_a_title_too(raced, tmp_path):
+    path = raced / "evaluate" / "smoke" / "metrics.json"
+    nothing = {"rows": [], "laps": 0, "valid_laps": 0, "mean_lap_s": None, "fastest_valid_lap_s": None}
+    path.write_text(json.dumps({**json.loads(path.read_text()), **nothing}))
+    page = report({"runs": []}, tmp_path / "report", raced).read_text()
+    assert "<h1>no lap finished, 0 of 0 laps clean</h1>" in page
+
+
 def test_drawn_twice_it_is_byte_identical(raced, tmp_path):
     pages = [report({"runs": []}, tmp_path / name, raced).read_bytes() for name in ("a", "b")]
     assert pages[0] == pages[1]
