@@ -11,21 +11,21 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 WIDTH = 9.0  # inches, page width
-# on white and on a dark page; neighbours differ in lightness too, for colour-blind eyes, and none is red
+# on white and on a dark page; none is red, and the first seven are apart for protanopes and deuteranopes too
 PALETTE = (
     ("#0072b2", "#4ba3dc"),  # blue
     ("#d98200", "#f0a63a"),  # orange
     ("#00835f", "#35c79a"),  # green
-    ("#b0528f", "#df93c7"),  # mauve
-    ("#4b3a94", "#9a8be0"),  # indigo
-    ("#8a8a1f", "#c9c94e"),  # olive
-    ("#7a5230", "#b98f66"),  # brown
-    ("#8e3fa8", "#c583dd"),  # violet
+    ("#4a2fd6", "#7465ff"),  # violet
+    ("#38b2c4", "#9ceaff"),  # cyan
+    ("#14146e", "#94709c"),  # navy
+    ("#b0a058", "#9c6a18"),  # sand
+    ("#b0528f", "#f0b4dc"),  # mauve
+    ("#1f5c2e", "#4f8f5c"),  # dark green
     ("#14808c", "#4cc0cc"),  # teal
-    ("#1f5c2e", "#6fae7c"),  # dark green
-    ("#1f3a6d", "#7c98d6"),  # navy
-    ("#b39a3c", "#e0cc78"),  # sand
-    ("#56a9db", "#a6dcf8"),  # sky
+    ("#2c3a58", "#8ca0cc"),  # ink blue
+    ("#7a5230", "#b98f66"),  # brown
+    ("#7fc08a", "#a8f0b4"),  # light green
     ("#5f6b76", "#a5b1bc"),  # slate
     ("#8f8f8f", "#8a8a8a"),  # grey
 )
