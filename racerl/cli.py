@@ -505,6 +505,7 @@ def _sweep(settings: "Settings", out: Path) -> None:
     from racerl.config import compose_settings
     from racerl.console import Board
     from racerl.report.sweep_page import draw_sweep
+    from racerl.sweep import conclusions
     from racerl.sweep.sweep import RESULTS, sweep
 
     console = _console()
@@ -514,8 +515,8 @@ def _sweep(settings: "Settings", out: Path) -> None:
     except KeyboardInterrupt:
         console.print("interrupted; the same command goes on", highlight=False)
         raise
-    for claim in facts["claims"]:
-        console.print(f"claim {claim['claim']}: {claim['verdict']}: {claim['says']}", highlight=False, soft_wrap=True)
+    for line in conclusions.lines(facts):
+        console.print(line, highlight=False, soft_wrap=True, markup=False)
     console.print(f"numbers in {out / RESULTS}, report in {draw_sweep(out)}", highlight=False, soft_wrap=True)
     if failed := facts["failed"]:
         words = "; ".join(f"{name}: {line}" for name, line in failed.items())

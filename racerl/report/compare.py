@@ -80,6 +80,7 @@ def compare(settings: Mapping[str, Any], out: Path, outputs: Path = Path("output
     page = write_page(
         folder.path,
         "compare_page.html.j2",
+        headline=headline(a.lap, b.lap),
         words=words,
         rows=[table_row(a.subject), table_row(b.subject), *paper_rows()],
         figure=figure(folder.path / "compare.svg", "Lines, speed, delta time and steering", caption, svg),
@@ -87,6 +88,14 @@ def compare(settings: Mapping[str, Any], out: Path, outputs: Path = Path("output
     )
     folder.finish()
     return page
+
+
+def headline(a: FlyingLap, b: FlyingLap) -> str:
+    """Return whose fastest lap is faster, and by how much."""
+    first, second = sorted((("A", a.time_s), ("B", b.time_s)), key=lambda lap: lap[1])
+    if second[1] - first[1] < 0.0005:
+        return f"A and B are equally fast: {first[1]:.3f} s"
+    return f"{first[0]} is {second[1] - first[1]:.3f} s faster than {second[0]}: {first[1]:.3f} s to {second[1]:.3f} s"
 
 
 def _listed(words: str | Sequence[Any]) -> Sequence[Any]:

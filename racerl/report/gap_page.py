@@ -5,6 +5,7 @@ from typing import Any
 
 import jinja2
 
+from racerl.data.log import CHANNELS
 from racerl.documents import read_json, read_yaml
 from racerl.errors import DocumentError, RunError
 from racerl.gap.diagnose import LOCATE, PROOF, VERDICT
@@ -27,15 +28,33 @@ def draw_gap(run: Path) -> Path:
         return write_page(
             folder.path,
             "gap_page.html.j2",
+            headline=headline(facts),
             facts=facts,
             proof=proof,
             located=located,
             figures=figures,
+            units={name: channel.unit for name, channel in CHANNELS.items()},
             horizon=read_yaml(folder.path / CONFIG)["window"],
             provenance=provenance(folder.manifest),
         )
     except (DocumentError, OSError, ValueError, KeyError, TypeError, jinja2.UndefinedError) as error:
         raise RunError(f"{run}: is damaged ({' '.join(str(error).split())}); run racerl gap again") from error
+
+
+def headline(facts: dict[str, Any]) -> str:
+    """Return the verdict as a sentence."""
+    names = " and ".join(effect["name"].replace("_", " ") for effect in facts["effects"])
+    gap = facts["gap"]
+    share = f": it explains {gap['explained']:.0%} of the gap" if gap else ""
+    sentences = {
+        "none": "Nothing is missing: the refitted model reaches the sensors' noise",
+        "under_excited": "This log cannot tell what is missing",
+        "named": f"The model misses {names}{share}",
+        "multiple": f"The model misses {names}{share.replace('it explains', 'together they explain')}",
+        "ambiguous": f"The model misses {names}, or {' or '.join(facts['ambiguous_with']).replace('_', ' ')}",
+        "unknown": "Something real is missing that no known effect explains",
+    }
+    return sentences[facts["verdict"]]
 
 
 def _drawn(facts: dict[str, Any], proof: dict[str, Any] | None) -> list[tuple[str, str, str, str | None]]:

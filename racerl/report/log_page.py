@@ -26,12 +26,22 @@ def draw_logs(run: Path) -> Path:
     except (DocumentError, OSError, ValueError, KeyError, TypeError, pa.ArrowException) as error:
         raise RunError(f"{run}: is damaged ({' '.join(str(error).split())}); inspect the logs again") from error
     git_sha = (folder.manifest.get("git_sha") or "–")[:18]
-    return write_page(folder.path, "log_page.html.j2", logs=logs, warnings=facts["warnings"], git_sha=git_sha)
+    values = {"headline": headline(facts), "logs": logs, "warnings": facts["warnings"], "git_sha": git_sha}
+    return write_page(folder.path, "log_page.html.j2", **values)
+
+
+def headline(facts: dict[str, Any]) -> str:
+    """Return how much was driven, and how many traps were seen."""
+    logs, seconds = facts["logs"], sum(log["seconds"] for log in facts["logs"])
+    driven = f"{seconds:.0f} s" if seconds < 120.0 else f"{seconds / 60.0:.1f} min"
+    warnings = len(facts["warnings"]) + sum(len(log["warnings"]) for log in logs)
+    seen = f"{warnings or 'no'} warning{'s' * (warnings != 1)}"
+    return f"{driven} of driving in {len(logs)} log{'s' * (len(logs) > 1)}, {seen}"
 
 
 def _section(folder: Path, number: int, table: pd.DataFrame, facts: dict[str, Any]) -> dict[str, Any]:
     drawn = (
-        ("channels", "Channels", "Thin black lines part the runs.", log_channels.draw(table, facts)),
+        ("channels", "Channels", "Thin vertical lines part the runs.", log_channels.draw(table, facts)),
         (
             "coverage",
             "Coverage",

@@ -1,5 +1,6 @@
 """The report stage: one self-contained HTML page about finished runs, and its figures as SVG files."""
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -8,8 +9,8 @@ from racerl.errors import RunError
 from racerl.optimum.floor import gap
 from racerl.paper import NAMES, table_1
 from racerl.report.figures import channels, lap_times, learning_curve, racing_line
-from racerl.report.page import figure, write_page
-from racerl.report.subjects import Subject, find_subjects
+from racerl.report.page import figure, interval, number, write_page
+from racerl.report.subjects import RACED, Subject, find_subjects
 from racerl.report.sweep_page import section
 from racerl.run import RunFolder, find_runs
 
@@ -19,7 +20,7 @@ FIGURES = (
         "channels",
         channels.draw,
         "Speed, steering and offset",
-        "Fastest lap over the track coordinate; n is positive to the left, the black lines are the boundaries.",
+        "Fastest lap over the track coordinate; n is positive to the left, the outer lines are the boundaries.",
     ),
     ("lap_times", lap_times.draw, "Lap times", "Every finished lap; the box spans the quartiles."),
     (
@@ -33,29 +34,34 @@ FIGURES = (
 
 
 def report(settings: Mapping[str, Any], out: Path, outputs: Path = Path("outputs")) -> Path:
-    """Write the page about `settings["runs"]`, or about all finished runs under `outputs`; return its path.
+    """Write the page about `settings["runs"]`, or about all that was raced or swept under `outputs`; return its path.
 
     Raises RunError when there is none, or one is damaged.
     """
     runs = [settings["runs"]] if isinstance(settings["runs"], str) else list(settings["runs"])
     given = [RunFolder.open(Path(run)) for run in runs]
-    swept = [run.path for run in given or find_runs(outputs) if run.manifest["stage"] == "sweep"]
+    around = find_runs(outputs)
+    swept = [run.path for run in given or around if run.manifest["stage"] == "sweep"]
     others = [run.path for run in given if run.path not in swept]
-    subjects = find_subjects(others, outputs) if others or not given else []
+    found = find_subjects(others, outputs) if others or not given else []
+    subjects = found if given else [subject for subject in found if subject.evaluation is not None]
     if not subjects and not swept:
-        raise RunError(f"{outputs}: holds no finished run; train one with: racerl train +dr=friction_0.02")
+        raise RunError(nothing([run.path for run in around if run.manifest["stage"] == "train"], outputs))
     folder = RunFolder.start(out, "report", settings)
     figures = [
         figure(folder.path / f"{name}.svg", title, caption, svg)
         for name, draw, title, caption in FIGURES
         if (svg := draw(subjects)) is not None
     ]
+    sweeps = [section(path, folder.path / path.name) for path in swept]
     page = write_page(
         folder.path,
         "page.html.j2",
+        headline=headline(subjects) if subjects else sweeps[0]["headline"],
         rows=[*map(table_row, subjects), *paper_rows()] if subjects else [],
         figures=figures,
-        sweeps=[section(path, folder.path / path.name) for path in swept],
+        sweeps=sweeps,
+        left_out="" if given else left_out(around, outputs, found),
         remarks=_remarks(subjects),
         provenance=[run for subject in subjects for run in origins(subject)],
     )
@@ -63,12 +69,43 @@ def report(settings: Mapping[str, Any], out: Path, outputs: Path = Path("outputs
     return page
 
 
-def _number(value: float | None, digits: int) -> str:
-    return "–" if value is None else f"{value:.{digits}f}"
+def headline(subjects: Sequence[Subject]) -> str:
+    """Return what the fastest of the drivers did: mean lap and clean laps."""
+    raced = [(s, s.evaluation.metrics) for s in subjects if s.evaluation is not None]
+    if not raced:
+        return f"{', '.join(subject.name for subject in subjects)}: not raced yet"
+    best, m = min(raced, key=lambda pair: _rank(pair[1]))
+    lap = "no lap finished" if m["mean_lap_s"] is None else f"{m['mean_lap_s']:.2f} s"
+    others = f" ({best.title}, the cleanest of {len(raced)})" if len(raced) > 1 else ""
+    return f"{lap}, {m['valid_laps']} of {m['laps']} laps clean{others}"
+
+
+def _rank(m: Mapping[str, Any]) -> tuple[float, float]:
+    """Return what sorts the cleanest first, of equally clean ones the fastest."""
+    return -m["valid_laps"] / max(1, m["laps"]), math.inf if m["mean_lap_s"] is None else m["mean_lap_s"]
+
+
+def nothing(trained: Sequence[Path], outputs: Path) -> str:
+    """Return why there is nothing to report, and the next command."""
+    if not trained:
+        return f"{outputs}: holds no finished run; train one with: racerl train +dr=friction_0.02"
+    return f"{outputs}: holds no run that was raced; race one with: racerl evaluate {trained[-1]}"
+
+
+def left_out(around: Sequence[RunFolder], outputs: Path, subjects: Sequence[Subject]) -> str:
+    """Return one line about the runs that were found and have no laps to show; empty when there are none."""
+    shown = (*RACED, "sweep", "report", "compare")
+    raced = {s.training["run_id"] for s in subjects if s.training is not None and s.evaluation is not None}
+    stages: dict[str, list[str]] = {}
+    for run in around:
+        stage = run.manifest["stage"]
+        if stage not in shown and run.manifest["run_id"] not in raced:
+            stages.setdefault(stage, []).append(str(run.path.relative_to(outputs)))
+    return "; ".join(f"{stage}: {', '.join(paths)}" for stage, paths in stages.items())
 
 
 def _percent(share: float | None) -> str:
-    return "–" if share is None else f"{share:+.1%}"
+    return "–" if share is None else f"{100.0 * share:+.1f}"
 
 
 def table_row(subject: Subject) -> dict[str, Any]:
@@ -77,18 +114,17 @@ def table_row(subject: Subject) -> dict[str, Any]:
         blank = dict.fromkeys(("car", "fastest", "mean", "gap", "interval", "std", "e_off", "crashes", "valid"), "–")
         return {"paper": False, "driver": subject.title, **blank}
     m = subject.evaluation.metrics
-    interval = m.get("mean_lap_ci95")
     return {
         "paper": False,
         "driver": subject.title,
         "car": m["car"],
-        "fastest": _number(m["fastest_valid_lap_s"], 3),
-        "mean": _number(m["mean_lap_s"], 3),
+        "fastest": number(m["fastest_valid_lap_s"], 3),
+        "mean": number(m["mean_lap_s"], 3),
         "gap": _percent(gap(m["mean_lap_s"], subject.evaluation.floor_s)),
-        "interval": " … ".join(f"{bound:.3f}" for bound in interval) if interval else "–",
-        "std": _number(m["std_lap_s"], 3),
-        "e_off": _number(m["e_off"], 5),
-        "crashes": f"{m['crash_share']:.0%}",
+        "interval": interval(m.get("mean_lap_ci95"), 3) or "–",
+        "std": number(m["std_lap_s"], 3),
+        "e_off": number(m["e_off"], 5),
+        "crashes": f"{100.0 * m['crash_share']:.0f}",
         "valid": f"{m['valid_laps']} of {m['laps']}",
     }
 
@@ -100,12 +136,12 @@ def paper_rows() -> list[dict[str, Any]]:
             "paper": True,
             "driver": NAMES[row["name"]],
             "car": "real",
-            "fastest": _number(row["fastest_valid_lap_s"], 3),
-            "mean": _number(row["mean_lap_s"], 3),
+            "fastest": number(row["fastest_valid_lap_s"], 3),
+            "mean": number(row["mean_lap_s"], 3),
             "gap": "–",
             "interval": "–",
-            "std": _number(row["std_lap_s"], 2),
-            "e_off": _number(row["e_off"], 5),
+            "std": number(row["std_lap_s"], 2),
+            "e_off": number(row["e_off"], 5),
             "crashes": "–",
             "valid": "of 20",
         }

@@ -1,27 +1,31 @@
 """The page about a sweep: claims, arms and the paper's own figures, drawn from the sweep's files alone."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
+from markupsafe import Markup
 
 from racerl.documents import read_json
 from racerl.errors import DocumentError, RunError
 from racerl.paper import NAMES, table_1
 from racerl.report.figures import duel, learning_bands, randomization, transfer, turn_in
+from racerl.report.figures.style import assign
 from racerl.report.flying_lap import fastest_lap
-from racerl.report.page import figure, provenance, write_page
+from racerl.report.interval import draw as draw_interval
+from racerl.report.page import figure, interval, number, provenance, write_page
 from racerl.report.subjects import Evaluation, find_subjects
 from racerl.run import RunFolder
+from racerl.sweep.conclusions import banner, headline
 from racerl.sweep.definition import METRICS
+from racerl.sweep.statistics import told
 from racerl.sweep.sweep import LAPS, LEARNING, RESULTS, STEERING, TRAININGS
 
 CURVE = ["sweep", "arm", "seed", "steps", "reward"]  # columns of a learning curve; a sweep of rivals has none
 CURVES = ("track_representation", "action_space")  # sweeps whose arms the paper's Fig. 4 shows
 DRIVERS, DUELS = "controllers", (("rl_geometric", "human"), ("rl_geometric", "mpc"))
-PERCENT = ("crash_share", "valid_share")
 
 
 @dataclass(frozen=True)
@@ -53,6 +57,12 @@ class Findings:
         return [row for row in self.facts["arms"] if row["sweep"] == sweep]
 
     @property
+    def colours(self) -> dict[tuple[str, str], str]:
+        """Colour of every arm, by sweep and name, for all figures; arms that were trained alike share one."""
+        first = self.trainings.drop_duplicates(["sweep", "arm"])
+        return assign({(row.sweep, row.arm): row.job.rpartition("-")[2] for row in first.itertuples()})
+
+    @property
     def cars(self) -> list[str]:
         """Cars that were raced in."""
         return list(dict.fromkeys(row["car"] for row in self.facts["arms"]))
@@ -72,6 +82,8 @@ def section(run: Path, out: Path) -> dict[str, Any]:
         return {
             "name": folder.path.name,
             "facts": found.facts,
+            "headline": headline(found.facts),
+            "banner": banner(found.facts),
             "claims": [_claim(claim) for claim in found.facts["claims"]],
             "tables": [_table(found, sweep) for sweep in found.facts["sweeps"]],
             "table_1": _table_1(found),
@@ -93,7 +105,7 @@ def drawn(found: Findings) -> Iterator[tuple[str, str, str, str | None]]:
             "randomization",
             "Domain randomization (the paper's Fig. 3)",
             "Lap times, E_off and crashes over what was randomized in training and its σ.",
-            randomization.draw(laps, found.arms("domain_randomization"), found.cars),
+            randomization.draw(laps, found.arms("domain_randomization"), found.cars, found.colours),
         )
     curves = found.learning[found.learning["sweep"].isin(CURVES)] if names & set(CURVES) else found.learning
     yield (
@@ -101,19 +113,19 @@ def drawn(found: Findings) -> Iterator[tuple[str, str, str, str | None]]:
         "Learning (the paper's Fig. 4)",
         "Reward per control step of the noisy training policy. The paper's levels are about twice what its lap times "
         "allow: compare shapes.",
-        learning_bands.draw(curves),
+        learning_bands.draw(curves, found.colours),
     )
     yield (
         "turn_in",
         "Steering with and without an actuator model (the paper's Fig. 5)",
         "Measured steering angle along the track; what starts further left turns in earlier.",
-        turn_in.draw(found.steering, found.cars),
+        turn_in.draw(found.steering, found.cars, found.colours),
     )
     yield (
         "transfer",
         "From the model to the other cars",
         "The same policies in every car, means over seeds with 95 % intervals.",
-        transfer.draw(list(_distinct(found.facts["arms"]))),
+        transfer.draw(list(_distinct(found.facts["arms"])), found.colours),
     )
 
     for a, b in DUELS:
@@ -131,7 +143,8 @@ def _duel(found: Findings, a: str, b: str) -> str | None:
     evaluations = [_fastest(found, arm) for arm in (a, b)]
     named = zip((f"A: {_words(a)}", f"B: {_words(b)}"), evaluations, strict=True)
     laps = [lap for name, raced in named if raced and (lap := fastest_lap(name, raced))]
-    return duel.draw(laps[0], laps[1], evaluations[0].track, []) if len(laps) == 2 and evaluations[0] else None
+    colours = [found.colours[DRIVERS, arm] for arm in (a, b) if (DRIVERS, arm) in found.colours]
+    return duel.draw(laps[0], laps[1], evaluations[0].track, (), colours) if len(laps) == 2 and evaluations[0] else None
 
 
 def _fastest(found: Findings, arm: str) -> Evaluation | None:
@@ -161,17 +174,11 @@ def _distinct(arms: Iterable[dict[str, Any]]) -> Iterator[dict[str, Any]]:
         seen.add(same)
 
 
-def _number(metric: str, value: float | None) -> str:
-    if value is None:
-        return "–"
-    return f"{value:.0%}" if metric in PERCENT else f"{value:.5f}" if metric == "e_off" else f"{value:.3f}"
-
-
 def _cell(metric: str, found: dict[str, Any]) -> str:
-    low_high = found["ci95"]
-    told = low_high and low_high[0] < low_high[1]  # a single lap has no interval
-    between = f" ({_number(metric, low_high[0])} … {_number(metric, low_high[1])})" if told else ""
-    return _number(metric, found["value"]) + between
+    known, value = METRICS[metric], found["value"]
+    between = interval(found["ci95"] and [known.scale * bound for bound in found["ci95"]], known.digits)
+    shown = number(None if value is None else known.scale * value, known.digits)
+    return f"{shown}\n({between})" if between else shown  # a single lap has no interval
 
 
 def _table(found: Findings, sweep: dict[str, Any]) -> dict[str, Any]:
@@ -181,38 +188,85 @@ def _table(found: Findings, sweep: dict[str, Any]) -> dict[str, Any]:
         [_words(row["arm"]), row["car"], str(row["trainings"] or "–"), *(_cell(m, row[m]) for m in metrics)]
         for row in found.arms(sweep["sweep"])
     ]
-    heads = ["arm", "car", "seeds", *(METRICS[metric] for metric in metrics)]
+    heads = ["arm", "car", "trainings", *(METRICS[metric].head for metric in metrics)]
     return {"name": _words(sweep["sweep"]), "question": sweep["question"], "heads": heads, "rows": rows}
 
 
 def _claim(claim: dict[str, Any]) -> dict[str, Any]:
-    return {**claim, "tests": [_test(test) for test in claim["tests"]]}
+    return {**claim, "told": told(claim), "tests": [_test(test) for test in claim["tests"]]}
 
 
-def _test(test: dict[str, Any]) -> dict[str, str]:
-    """Return a test as text: what is compared, the limit, the effect with its interval."""
-    if test["slope"]:
-        compared = "slope over " + ", ".join(f"{_words(arm)} at {x:g}" for arm, x in test["slope"].items())
-    else:
-        compared = " ".join(f"{weight:+.3g} {_words(arm)}" for arm, weight in test["weights"].items())
-    over = f", over {_words(test['relative_to'])}'s" if test["relative_to"] else ""
-    (side, limit), metric = next(iter(test["limit"].items())), test["metric"]
-    share = bool(test["relative_to"])
-    wanted = f"{side} {limit:.3g}" if side != "within" else f"within ± {limit:.3g}"
-    if test["effect"] is None:
-        said = test["why"]
-    else:
-        low, high = test["ci95"]
-        values = [f"{value:+.1%}" if share else f"{value:+.4g}" for value in (test["effect"], low, high)]
-        said = f"{values[0]} ({values[1]} … {values[2]}), {test['agreeing']} of {test['seeds']} seeds agree"
-        if one := test.get("one_lap"):
-            said += f"; {', '.join(map(_words, one))}: one lap, taken as exact"
-    return {
-        "what": f"{METRICS[metric]}{'' if metric == 'reward' else ' in the ' + test['car']}: {compared}{over}",
-        "wanted": wanted,
-        "said": said,
-        "outcome": {True: "holds", False: "does not hold", None: "open"}[test["holds"]],
+def _test(test: dict[str, Any]) -> dict[str, Any]:
+    """Return a test as a sentence, a picture of its interval, its outcome and its formula."""
+    known = METRICS[test["metric"]]
+    scale, unit = (100.0, "%") if test["relative_to"] else (known.scale, known.unit)
+    (side, bound), effect, ci95 = next(iter(test["limit"].items())), test["effect"], test["ci95"]
+    limit = {side: scale * bound}
+    wanted = f"{side} {scale * bound:.3g} {unit}" if side != "within" else f"within ± {scale * bound:.3g} {unit}"
+    outcome = {
+        True: "as claimed",
+        False: "not as claimed",
+        None: test["why"] or "open, the interval holds the threshold",
     }
+    shown = None if effect is None else scale * effect
+    between = None if ci95 is None else [scale * each for each in ci95]
+    return {
+        "sentence": _sentence(test, shown, between, unit),
+        "wanted": wanted,
+        "outcome": outcome[test["holds"]] if effect is not None else f"not tested, {test['why']}",
+        "plot": Markup("") if shown is None else draw_interval(shown, between, limit, unit),
+        "formula": _formula(test),
+        "seeds": f"{test['agreeing']} of {test['seeds']}" if effect is not None else "",
+        "one_lap": ", ".join(map(_words, test["one_lap"])),
+    }
+
+
+def _sentence(test: dict[str, Any], effect: float | None, ci95: Sequence[float] | None, unit: str) -> str:
+    """Return what a test found, numbers in `unit`; what it compares where it found nothing."""
+    where = "" if test["metric"] == "reward" else f"In the {test['car']}, "
+    name = METRICS[test["metric"]].name
+    ours, theirs = (
+        _together({arm: abs(weight) for arm, weight in test["weights"].items() if (weight > 0) == first})
+        for first in (True, False)
+    )
+    sure = f" ({_signed(ci95[0])} … {_signed(ci95[1])} {unit})" if ci95 and ci95[0] < ci95[1] else ""
+    if test["slope"]:
+        places = ", ".join(f"{_quoted(arm)} at {x:g}" for arm, x in test["slope"].items())
+        said = f"the slope of the {name} over {places}" + (
+            "" if effect is None else f" is {_signed(effect)} {unit} per 1"
+        )
+    elif not theirs:
+        said = f"the {name} {ours}" + ("" if effect is None else f" is {effect:.3g} {unit}")
+    elif not effect:
+        said = f"the {name} {ours} {'against' if effect is None else 'equals'} that {theirs}"
+    else:
+        said = f"the {name} {ours} is {abs(effect):.3g} {unit} {'above' if effect > 0 else 'below'} that {theirs}"
+    sentence = f"{where}{said}{sure}"
+    return sentence[0].upper() + sentence[1:]
+
+
+def _signed(value: float) -> str:
+    return f"{value:+.3g}".replace("-", "−") if value else "0"
+
+
+def _quoted(arm: str) -> str:
+    return f"“{_words(arm)}”"
+
+
+def _together(weights: Mapping[str, float]) -> str:
+    """Return "of" and the arms, with what their weights add up to where that is not 1; empty for none."""
+    names = [_quoted(arm) for arm in weights]
+    if not names:
+        return ""
+    listed = f"{', '.join(names[:-1])} and {names[-1]} on average" if len(names) > 1 else names[0]
+    total = sum(weights.values())
+    return f"of {listed}" if abs(total - 1.0) < 1e-9 else f"of {listed} times {total:.3g}"
+
+
+def _formula(test: dict[str, Any]) -> str:
+    weighed = " ".join(f"{weight:+.3g} × {_words(arm)}" for arm, weight in test["weights"].items())
+    over = f", divided by {_words(test['relative_to'])}" if test["relative_to"] else ""
+    return f"{METRICS[test['metric']].head}: {weighed}{over}"
 
 
 def _table_1(found: Findings) -> list[dict[str, str]]:
@@ -231,7 +285,7 @@ def _table_1(found: Findings) -> list[dict[str, str]]:
                 "driver": f"{_words(row['arm'])}, {'recorded' if recorded else row['car']}",
                 "fastest": _cell("fastest", row["fastest"]),
                 "mean": _cell("lap_time", row["lap_time"]),
-                "std": "–" if pd.isna(deviation) else f"{deviation:.3f}",
+                "std": number(None if pd.isna(deviation) else deviation, 3),
                 "e_off": _cell("e_off", row["e_off"]),
                 "crashes": _cell("crash_share", row["crash_share"]),
             }
@@ -242,7 +296,7 @@ def _table_1(found: Findings) -> list[dict[str, str]]:
             "fastest": f"{row.fastest_valid_lap_s:.3f}",
             "mean": f"{row.mean_lap_s:.3f}",
             "std": f"{row.std_lap_s:.2f}",
-            "e_off": f"{row.e_off:.5f}",
+            "e_off": number(row.e_off, 5),
             "crashes": "–",
         }
         for row in table_1().itertuples(index=False)

@@ -13,15 +13,31 @@ from racerl.documents import packaged, read_yaml
 from racerl.errors import ConfigError, suggest
 from racerl.registry import construct
 
+
+@dataclass(frozen=True)
+class Metric:
+    """What is measured: its name in a sentence, its unit, how many of it 1 is, and the digits it is told with."""
+
+    name: str
+    unit: str
+    scale: float = 1.0
+    digits: int = 3
+
+    @property
+    def head(self) -> str:
+        """Return it as the head of a column."""
+        return f"{self.name} [{self.unit}]"
+
+
 METRICS = {
-    "lap_time": "mean lap [s]",
-    "fastest": "fastest valid lap [s]",
-    "e_off": "E_off [m s]",
-    "crash_share": "share of laps with a crash",
-    "valid_share": "share of laps that never leave the track",
-    "off_track": "furthest off the track [m]",
-    "turn_in": "steering leads the track's curvature by [m]",
-    "reward": "training reward per step [m]",
+    "lap_time": Metric("mean lap", "s"),
+    "fastest": Metric("fastest valid lap", "s"),
+    "e_off": Metric("E_off", "m s", digits=5),
+    "crash_share": Metric("share of laps with a crash", "%", 100.0, 0),
+    "valid_share": Metric("share of laps that never leave the track", "%", 100.0, 0),
+    "off_track": Metric("furthest way off the track", "m"),
+    "turn_in": Metric("lead of the steering over the track's curvature", "m"),
+    "reward": Metric("training reward per step", "m", digits=4),
 }
 
 

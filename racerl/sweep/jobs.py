@@ -69,6 +69,12 @@ class Plan:
     jobs: Sequence[Job]
     of: Mapping[tuple[str, str, int], Job]  # sweep, arm, seed
 
+    @property
+    def trial_steps(self) -> int | None:
+        """Control steps of its trainings where their budget is a trial; None where it is meant to learn."""
+        budgets = [job.train["budget"] for job in self.jobs if job.train is not None]
+        return max((int(budget["steps"]) for budget in budgets if budget.get("trial")), default=None)
+
 
 def plan(sweeps: Sequence[Sweep], settings: Mapping[str, Any], out: Path, compose: Compose) -> Plan:
     """Return the jobs of some sweeps under `out`; raise ConfigError for arms that cannot be composed."""

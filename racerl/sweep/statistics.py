@@ -2,8 +2,9 @@
 
 Trainings (seeds) are drawn with replacement, the same ones for all arms; inside each its starts, the same for all
 arms; inside each start its laps. What is not trained has starts and laps alone. A metric is taken per training and
-averaged over them. A claim holds where the 95 % interval of every test's contrast lies on the claimed side, is refuted
-where one lies on the other side, and is undecided otherwise.
+averaged over them. A claim is supported where the 95 % interval of every test's contrast lies on the claimed side,
+refuted where one lies on the other side, not tested where no test has what it needs, and undecided otherwise. Nothing
+is decided by arms that were trained once, by intervals without width, or by trainings of a trial budget.
 """
 
 import math
@@ -21,6 +22,8 @@ from racerl.sweep.jobs import UNTRAINED
 Array = NDArray[np.float64]
 RESAMPLES = 1000
 LEVEL = 0.95
+TRIAL = "trial budget"
+VERDICTS = ("supported", "refuted", "undecided", "not tested")
 MEASURES = ("time_s", "e_off", "off_track_m", "crashed", "valid", "turn_in_m")
 
 
@@ -44,6 +47,11 @@ class Samples:
         common = [seed for seed in self.seeds if all(seed in has or has == [UNTRAINED] for has in own.values())]
         rows = {arm: [0] if has == [UNTRAINED] else [has.index(seed) for seed in common] for arm, has in own.items()}
         return {arm: self.per_seed[arm][metric][index] for arm, index in rows.items()}
+
+    def trainings(self, arms: Iterable[str]) -> int | None:
+        """Return how often the least trained of some arms was trained; None where none of them trains."""
+        counts = [len(self.trained[arm]) for arm in arms if list(self.trained[arm]) != [UNTRAINED]]
+        return min(counts, default=None)
 
     def interval(self, arm: str, metric: str) -> list[float] | None:
         """Return its 95 % interval; None where too few resamples have a value."""
@@ -123,12 +131,43 @@ def spread(values: Array) -> list[float] | None:
     return [float(low), float(high)]
 
 
-def judge(claim: Claim, sweep: Sweep, samples: Mapping[str, Samples]) -> dict[str, Any]:
-    """Return a claim's verdict with every test's effect and interval; `samples` by car."""
+def judge(claim: Claim, sweep: Sweep, samples: Mapping[str, Samples], trial: bool = False) -> dict[str, Any]:
+    """Return a claim's verdict, why it is open, and every test's effect and interval; `samples` by car.
+
+    Trainings of a trial budget show effects, but have no verdict (None).
+    """
     tests = [_test(test, sweep, samples) for test in claim.tests]
+    if trial:
+        tests = [{**test, "holds": None, "why": test["why"] if test["effect"] is None else TRIAL} for test in tests]
+    verdict, why = (None, TRIAL) if trial else weigh(tests)
+    facts = {"claim": claim.number, "says": claim.says, "sweep": sweep.name}
+    return {**facts, "verdict": verdict, "why": why, "tests": tests}
+
+
+def weigh(tests: Sequence[Mapping[str, Any]]) -> tuple[str, str]:
+    """Return the verdict of tests that must all hold, and why it is open where something stood in the way."""
     outcomes = [test["holds"] for test in tests]
-    verdict = "refuted" if False in outcomes else "undecided" if None in outcomes else "supported"
-    return {"claim": claim.number, "says": claim.says, "sweep": sweep.name, "verdict": verdict, "tests": tests}
+    if False in outcomes:
+        return "refuted", ""
+    if None not in outcomes:
+        return "supported", ""
+    reasons = dict.fromkeys(test["why"] for test in tests if test["why"])
+    tested = any(test["effect"] is not None for test in tests)
+    return "undecided" if tested else "not tested", "; ".join(reasons)
+
+
+def told(claim: Mapping[str, Any]) -> str:
+    """Return a claim's verdict in words, with what kept it open."""
+    return ", ".join(filter(None, (claim["verdict"] or "no verdict", claim["why"])))
+
+
+def obstacle(interval: Sequence[float] | None, trainings: int | None) -> str:
+    """Return what keeps a test from being decided, whatever its interval says; nothing where nothing does."""
+    if trainings is not None and trainings < 2:
+        return f"{trainings} training{'s' * (trainings != 1)}"
+    if interval is None:
+        return "no value in some resamples"
+    return "an interval without width" if math.isclose(*interval, rel_tol=1e-9, abs_tol=1e-12) else ""
 
 
 def _test(test: Comparison, sweep: Sweep, samples: Mapping[str, Samples]) -> dict[str, Any]:
@@ -149,18 +188,24 @@ def _test(test: Comparison, sweep: Sweep, samples: Mapping[str, Samples]) -> dic
     }
     absent = sorted(arm for arm in test.arms if test.car not in samples or arm not in samples[test.car].per_seed)
     if absent:
-        return {**facts, "why": f"{', '.join(absent)} has not been driven"}
+        return {**facts, "why": f"{_listed(absent)} {'has' if len(absent) == 1 else 'have'} not been driven"}
     mine = samples[test.car]
     effect = contrast(test, {arm: np.array([mine.value(arm, test.metric)]) for arm in test.arms})[0]
     interval = spread(contrast(test, {arm: mine.resampled[arm][test.metric] for arm in test.arms}))
     facts["seeds"] = len(mine.seeds)
-    if interval is None or math.isnan(effect):
+    if math.isnan(effect):
         lacking = [arm for arm in sorted(test.arms) if math.isnan(mine.value(arm, test.metric))]
-        return {**facts, "why": f"{METRICS[test.metric]}: none for {', '.join(lacking) or 'some resamples'}"}
+        return {**facts, "why": f"{METRICS[test.metric].name}: none for {_listed(lacking)}"}
     single = contrast(test, mine.shared(test.arms, test.metric))
     facts["one_lap"] = sorted(arm for arm in test.arms if mine.laps[arm] == 1)  # taken as if it were exact
     facts["agreeing"] = sum(test.holds(float(value), float(value)) is True for value in single)
-    return {**facts, "effect": float(effect), "ci95": interval, "holds": test.holds(*interval)}
+    why = obstacle(interval, mine.trainings(test.arms))
+    holds = None if why or interval is None else test.holds(*interval)
+    return {**facts, "effect": float(effect), "ci95": interval, "holds": holds, "why": why}
+
+
+def _listed(arms: Sequence[str]) -> str:
+    return " and ".join(arm.replace("_", " ") for arm in arms)
 
 
 def contrast(test: Comparison, metrics: Mapping[str, Array]) -> Array:

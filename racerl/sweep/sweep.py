@@ -76,7 +76,8 @@ def summarise(planned: Plan, settings: Mapping[str, Any], out: Path, failed: Map
         if not table.empty:
             write_text(out / name, table.to_csv(index=False, float_format="%.6g"))
     facts = {
-        **results(planned.sweeps, cars, tables[LAPS], tables[TRAININGS]),
+        **results(planned.sweeps, cars, tables[LAPS], tables[TRAININGS], planned.trial_steps is not None),
+        "trial_steps": planned.trial_steps,
         "jobs": {"planned": len(planned.jobs), "done": sum(job.done for job in planned.jobs)},
         "failed": dict(failed),
     }
@@ -110,9 +111,12 @@ def gather(planned: Plan, cars: Sequence[str], laps: int) -> dict[str, pd.DataFr
 
 
 def results(
-    sweeps: Sequence[Sweep], cars: Sequence[str], laps: pd.DataFrame, trainings: pd.DataFrame
+    sweeps: Sequence[Sweep], cars: Sequence[str], laps: pd.DataFrame, trainings: pd.DataFrame, trial: bool = False
 ) -> dict[str, Any]:
-    """Return every arm's metrics with intervals and every claim's verdict; a fixed generator, so that it repeats."""
+    """Return every arm's metrics with intervals and every claim's verdict; a fixed generator, so that it repeats.
+
+    A `trial` has no verdicts.
+    """
     rows, claims = [], []
     for sweep in sweeps:
         mine, trained = laps[laps["sweep"] == sweep.name], trainings[trainings["sweep"] == sweep.name]
@@ -131,7 +135,7 @@ def results(
             for arm in sweep.arms
             if arm in part.per_seed
         ]
-        claims += [judge(claim, sweep, samples) for claim in sweep.claims]
+        claims += [judge(claim, sweep, samples, trial) for claim in sweep.claims]
     questions = [{"sweep": s.name, "question": s.question, "metrics": list(s.metrics)} for s in sweeps]
     return {"sweeps": questions, "arms": rows, "claims": sorted(claims, key=lambda claim: claim["claim"])}
 

@@ -56,6 +56,7 @@ class Budget:
     actor: tuple[int, ...] = (256, 256)
     critic: tuple[int, ...] = (512, 512)
     evaluations: int = 20  # evenly over the training
+    trial: bool = False  # too short to learn: sweeps draw no verdicts from it
 
     def __post_init__(self) -> None:
         for name in ("steps", "cars", "rollout", "batch", "epochs", "evaluations"):

@@ -43,6 +43,13 @@ def raced(path, drive, track=TRACK, stage="evaluate", most=None, **facts):
     return str(path)
 
 
+def titled(page):
+    """Return a page's title, after checking that its heading is the same."""
+    title = re.search("<title>(.*)</title>", page)[1]
+    assert title == re.search("<h1>(.*)</h1>", page)[1]
+    return title
+
+
 def test_a_lap_loses_nothing_to_itself(human):
     s = np.linspace(0.0, human.length, 200)
     assert not delta_time(human, human, s).any()
@@ -89,7 +96,8 @@ def test_the_page_holds_both_drivers_and_the_papers(tmp_path):
     pages = [compare({"drivers": runs}, tmp_path / out, tmp_path) for out in ("c1", "c2")]
     page = pages[0].read_text()
     assert page == pages[1].read_text()  # drawn twice, byte by byte
-    assert not re.search(r'(src|href)="(?!data:)', page) and page.count("data:image/svg+xml;base64,") == 1
+    assert not re.search(r'(src|href)="(?!data:|#)', page) and page.count("</figure>") == 1
+    assert titled(page) == "A is 0.291 s faster than B: 5.559 s to 5.850 s"
     for value in ("A: fast", "B: slow", "5.559", "5.850", "paper: MPC", "5.847"):
         assert value in page, value
     assert (tmp_path / "c1" / "compare.svg").read_text().startswith("<?xml")

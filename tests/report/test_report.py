@@ -9,6 +9,7 @@ import pytest
 from racerl.errors import RunError
 from racerl.report.report import report
 from racerl.report.subjects import find_subjects
+from racerl.run import RunFolder
 
 
 @pytest.fixture
@@ -32,13 +33,26 @@ def raced(smoke_run, smoke_evaluation, tmp_path):
 
 def test_the_page_is_self_contained_and_complete(raced, tmp_path):
     page = report({"runs": []}, tmp_path / "report", raced).read_text()
-    assert not re.search(r'(src|href)="(?!data:)', page) and "<script" not in page
-    assert page.count("data:image/svg+xml;base64,") == 4
+    assert not re.search(r'(src|href)="(?!data:|#)', page) and "<script" not in page
+    assert page.count("</figure>") == 4
     for name in ("racing_line", "channels", "lap_times", "learning_curve"):
         svg = (tmp_path / "report" / f"{name}.svg").read_text()
         assert svg.startswith("<?xml") and "</svg>" in svg
     for value in ("6.250", "5.561", "paper: MPC", "geometric, speed rate, friction σ = 0.02", "1 of 4"):
         assert value in page, value
+
+
+def test_the_title_is_the_result(raced, tmp_path):
+    page = report({"runs": []}, tmp_path / "report", raced).read_text()
+    assert "<title>6.25 s, 1 of 4 laps clean</title>" in page and "<h1>6.25 s, 1 of 4 laps clean</h1>" in page
+
+
+def test_runs_without_a_lap_have_a_title_too(raced, tmp_path):
+    path = raced / "evaluate" / "smoke" / "metrics.json"
+    nothing = {"rows": [], "laps": 0, "valid_laps": 0, "mean_lap_s": None, "fastest_valid_lap_s": None}
+    path.write_text(json.dumps({**json.loads(path.read_text()), **nothing}))
+    page = report({"runs": []}, tmp_path / "report", raced).read_text()
+    assert "<h1>no lap finished, 0 of 0 laps clean</h1>" in page
 
 
 def test_drawn_twice_it_is_byte_identical(raced, tmp_path):
@@ -55,8 +69,24 @@ def test_runs_can_be_named(raced, tmp_path):
 
 def test_an_unraced_run_is_said_to_be_unraced(raced, tmp_path):
     shutil.rmtree(raced / "evaluate")
-    page = report({"runs": []}, tmp_path / "report", raced).read_text()
-    assert "has not been raced" in page and "Learning" in page
+    page = report({"runs": [str(raced / "train" / "smoke")]}, tmp_path / "report", raced).read_text()
+    assert "has not been raced" in page and "<h1>smoke: not raced yet</h1>" in page
+    with pytest.raises(RunError, match=r"holds no run that was raced; race one with: racerl evaluate .*train/smoke"):
+        report({"runs": []}, tmp_path / "other", raced)
+
+
+def test_what_was_not_raced_is_named_in_one_line_without_rows_or_curves(raced, tmp_path):
+    unraced = raced / "train" / "newer"
+    shutil.copytree(raced / "train" / "smoke", unraced)
+    manifest = json.loads((unraced / "manifest.json").read_text())
+    (unraced / "manifest.json").write_text(json.dumps({**manifest, "run_id": "another"}))
+    RunFolder.start(raced / "gap" / "a", "gap", {}).finish()
+    before = report({"runs": [str(raced / "evaluate" / "smoke")]}, tmp_path / "one", raced)
+    page = report({"runs": []}, tmp_path / "all", raced)
+    assert "Not raced, so not shown: train: train/newer; gap: gap/a." in page.read_text()
+    assert page.read_text().count("<tr>") == before.read_text().count("<tr>")
+    for name in ("learning_curve", "lap_times"):
+        assert (page.parent / f"{name}.svg").read_bytes() == (before.parent / f"{name}.svg").read_bytes()
 
 
 def test_incomplete_runs_are_left_out(raced, tmp_path):

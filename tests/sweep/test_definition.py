@@ -29,6 +29,12 @@ def test_the_ablations_are_the_papers(tmp_path):
     assert rivals == {"mpc", "pure_pursuit", "optimum", "human", "human_like"}
 
 
+@pytest.mark.parametrize("budget, steps", [("smoke", 2048), ("laptop", None), ("paper", None)])
+def test_a_trial_is_known_by_its_budget(tmp_path, budget, steps):
+    settings = {"words": [f"budget={budget}"], "threads": 1, "seeds": [0], "laps": 1, "starts": [0], "cars": ["model"]}
+    assert plan(read_sweeps("action_space"), settings, tmp_path, compose_settings).trial_steps == steps
+
+
 def write(tmp_path, monkeypatch, **changes):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "sweeps").mkdir()

@@ -6,8 +6,9 @@ import pytest
 
 from racerl.sweep import statistics
 from racerl.sweep.definition import Claim, Comparison, Sweep
+from racerl.sweep.jobs import UNTRAINED
 from racerl.sweep.measures import STEP, final_reward, turn_in
-from racerl.sweep.statistics import contrast, judge, resample, spread
+from racerl.sweep.statistics import contrast, judge, resample, spread, told
 
 SLOWER = Comparison(metric="lap_time", contrast={"b": 1.0, "a": -1.0}, above=0.0)
 
@@ -45,10 +46,10 @@ def driven(means, seeds=3, laps=20, seed_spread=0.1, lap_spread=0.02, draw=0):
     return pd.DataFrame(rows), pd.DataFrame(trainings)
 
 
-def verdict(test, laps, trainings):
+def verdict(test, laps, trainings, *more, trial=False):
     sweep = Sweep("s", "?", (), dict.fromkeys(laps["arm"].unique(), ()), (0, 1, 2), ("lap_time",), ())
     samples = {"twin": resample(laps, trainings, np.random.default_rng(0))}
-    return judge(Claim(1, "b is slower", (test,)), sweep, samples)
+    return judge(Claim(1, "b is slower", (test, *more)), sweep, samples, trial)
 
 
 @pytest.mark.parametrize("difference, expected", [(0.2, "supported"), (-0.2, "refuted"), (0.0, "undecided")])
@@ -91,12 +92,50 @@ def test_what_was_never_finished_leaves_a_claim_open():
     laps, trainings = driven({"a": 5.5, "b": 6.0})
     laps.loc[laps["arm"] == "b", "time_s"] = np.nan
     found = verdict(SLOWER, laps, trainings)
-    assert found["verdict"] == "undecided" and "none for b" in found["tests"][0]["why"]
+    assert found["verdict"] == "not tested" and "none for b" in found["tests"][0]["why"]
 
 
 def test_what_was_never_driven_leaves_a_claim_open():
     found = verdict(Comparison(metric="lap_time", contrast={"a": 1.0, "mpc": -1.0}, below=0.0), *driven({"a": 5.5}))
-    assert found["verdict"] == "undecided" and found["tests"][0]["why"] == "mpc has not been driven"
+    assert found["verdict"] == "not tested" and found["tests"][0]["why"] == "mpc has not been driven"
+
+
+@pytest.mark.parametrize("difference", [0.2, -0.2])
+def test_one_training_decides_nothing_however_narrow_its_interval(difference):
+    found = verdict(SLOWER, *driven({"a": 5.5, "b": 5.5 + difference}, seeds=1, lap_spread=0.01))
+    low, high = found["tests"][0]["ci95"]
+    assert high - low < 0.02 and found["verdict"] == "undecided" and told(found) == "undecided, 1 training"
+
+
+def test_the_least_trained_arm_counts_and_what_is_not_trained_does_not():
+    laps, trainings = driven({"a": 5.5, "b": 5.7})
+    only = laps["seed"].isin([0]) | (laps["arm"] == "a"), trainings["seed"].isin([0]) | (trainings["arm"] == "a")
+    assert told(verdict(SLOWER, laps[only[0]], trainings[only[1]])) == "undecided, 1 training"
+    one = (laps["seed"] == 0) & (laps["arm"] == "b"), (trainings["seed"] == 0) & (trainings["arm"] == "b")
+    rival = laps[one[0]].assign(seed=UNTRAINED), trainings[one[1]].assign(seed=UNTRAINED)
+    mixed = [
+        pd.concat([whole[whole["arm"] == "a"], part]) for whole, part in zip((laps, trainings), rival, strict=True)
+    ]
+    assert verdict(SLOWER, *mixed)["verdict"] == "supported"
+
+
+@pytest.mark.parametrize("difference", [0.2, -0.2])
+def test_an_interval_without_width_decides_nothing(difference):
+    found = verdict(SLOWER, *driven({"a": 5.5, "b": 5.5 + difference}, seed_spread=0.0, lap_spread=0.0))
+    assert told(found) == "undecided, an interval without width" and found["tests"][0]["holds"] is None
+
+
+@pytest.mark.parametrize("difference", [0.2, -0.2])
+def test_a_trial_shows_effects_and_no_verdict(difference):
+    found = verdict(SLOWER, *driven({"a": 5.5, "b": 5.5 + difference}), trial=True)
+    assert found["verdict"] is None and told(found) == "no verdict, trial budget"
+    assert found["tests"][0]["holds"] is None and found["tests"][0]["effect"] == pytest.approx(difference, abs=0.05)
+
+
+def test_a_claim_of_which_one_part_was_tested_is_open_or_refuted_by_that_part():
+    undriven = Comparison(metric="lap_time", contrast={"a": 1.0, "mpc": -1.0}, below=0.0)
+    assert verdict(SLOWER, *driven({"a": 5.5, "b": 5.8}), undriven)["verdict"] == "undecided"
+    assert verdict(SLOWER, *driven({"a": 5.5, "b": 5.2}), undriven)["verdict"] == "refuted"
 
 
 def test_drawn_twice_is_drawn_alike():

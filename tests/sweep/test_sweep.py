@@ -79,6 +79,10 @@ def test_a_sweep_trains_shared_arms_once_and_passes_over_what_is_done(place):
     out = place / "once"
     assert len(list((out / "jobs").iterdir())) == 2  # c is a
     facts = json.loads((out / "results.json").read_text())
+    assert "Trial budget" in printed and "claim 7: no verdict" in printed and facts["trial_steps"] == 2048
+    assert [claim["verdict"] for claim in facts["claims"]] == [None] and "<h1>A trial" in (
+        out / "report.html"
+    ).read_text()
     assert facts["jobs"] == {"planned": 2, "done": 2} and {row["arm"] for row in facts["arms"]} == {"a", "b", "c"}
     assert {row["car"] for row in facts["arms"]} == {"model", "twin"}
     manifest = json.loads((out / "jobs").glob("a-0-*").__next__().joinpath("train/manifest.json").read_text())

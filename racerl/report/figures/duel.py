@@ -8,7 +8,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from racerl.report.figures.style import COLOURS, PAPER, WIDTH, style, to_svg
+from racerl.report.figures.style import COLOURS, INK, PAPER, WIDTH, style, to_svg
 from racerl.report.flying_lap import FlyingLap, delta_time
 
 MARKS = 25  # at most, on a lap
@@ -17,20 +17,27 @@ LOOKS: Sequence[dict[str, Any]] = (  # of A, B and the paper's two laps
     {"color": COLOURS[0], "lw": 1.6},
     {"color": COLOURS[1], "lw": 1.6},
     {"color": PAPER, "lw": 1.0, "ls": ":"},
-    {"color": "#b07d1a", "lw": 1.0, "ls": ":"},
+    {"color": PAPER, "lw": 1.0, "ls": "--"},
 )
 
 
-def draw(a: FlyingLap, b: FlyingLap, track: pd.DataFrame, paper: Sequence[FlyingLap] = ()) -> str:
+def draw(
+    a: FlyingLap,
+    b: FlyingLap,
+    track: pd.DataFrame,
+    paper: Sequence[FlyingLap] = (),
+    colours: Sequence[str] = COLOURS[:2],
+) -> str:
     """Return the SVG of two laps on a track (the table of an evaluation), with the paper's two if they are given."""
+    looks = [look | {"color": own} for look, own in zip(LOOKS, colours, strict=False)] + list(LOOKS[2:])
     with style():
         tall = float(np.clip(8.0 * np.ptp(track["y_m"]) / np.ptp(track["x_m"]), 3.0, 6.2))  # in, of the first panel
         figure = Figure(figsize=(WIDTH, 6.3 + tall))
         grid = figure.add_gridspec(4, 1, height_ratios=[tall, 2.1, 2.1, 2.1])
-        _draw_lines(figure.add_subplot(grid[0]), a, b, track)
+        _draw_lines(figure.add_subplot(grid[0]), a, b, track, looks)
         speed = figure.add_subplot(grid[1])
         delta, steering = (figure.add_subplot(grid[row], sharex=speed) for row in (2, 3))
-        for lap, look in zip((a, b, *paper), LOOKS, strict=False):
+        for lap, look in zip((a, b, *paper), looks, strict=False):
             speed.plot(lap.samples["s"], lap.samples["v_x"], label=lap.driver, **look)
             steering.plot(lap.samples["s"], lap.samples["delta"], **look)
         _draw_delta_time(delta, a, b, paper)
@@ -43,15 +50,15 @@ def draw(a: FlyingLap, b: FlyingLap, track: pd.DataFrame, paper: Sequence[Flying
         return to_svg(figure)
 
 
-def _draw_lines(axis: Axes, a: FlyingLap, b: FlyingLap, track: pd.DataFrame) -> None:
+def _draw_lines(axis: Axes, a: FlyingLap, b: FlyingLap, track: pd.DataFrame, looks: Sequence[dict[str, Any]]) -> None:
     for side in ("left", "right"):
         x, y = track[f"{side}_x_m"], track[f"{side}_y_m"]
         axis.plot([*x, x.iloc[0]], [*y, y.iloc[0]], color="black", lw=1.0)
     start = track.iloc[0]
-    axis.plot([start["left_x_m"], start["right_x_m"]], [start["left_y_m"], start["right_y_m"]], color="red", lw=1.5)
+    axis.plot([start["left_x_m"], start["right_x_m"]], [start["left_y_m"], start["right_y_m"]], color=INK, lw=3.0)
     every = 0.5 * np.ceil(2.0 * max(a.time_s, b.time_s) / MARKS)  # s
     times = every * np.arange(1, MARKS + 1)
-    for lap, look in zip((a, b), LOOKS, strict=False):
+    for lap, look in zip((a, b), looks, strict=False):
         axis.plot(lap.samples["x"], lap.samples["y"], **look)
         places = lap.marks(times)
         axis.plot(*places[::2].T, "o", ms=4, color=look["color"], zorder=3)
@@ -59,7 +66,7 @@ def _draw_lines(axis: Axes, a: FlyingLap, b: FlyingLap, track: pd.DataFrame) -> 
         for time, (x, y) in zip(times[1::2], places[1::2], strict=False):
             axis.text(x, y, f"{time:g}", color="white", size=7, ha="center", va="center_baseline", zorder=3)
     axis.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
-    axis.set_title(f"(a) marks every {every:g} s, numbers in s since the red line", fontsize=10)
+    axis.set_title(f"(a) marks every {every:g} s, numbers in s since the thick line", fontsize=10)
 
 
 def _draw_delta_time(axis: Axes, a: FlyingLap, b: FlyingLap, paper: Sequence[FlyingLap]) -> None:

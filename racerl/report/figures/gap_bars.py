@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.figure import Figure
 
-from racerl.report.figures.style import COLOURS, WIDTH, style, to_svg
+from racerl.report.figures.style import COLOURS, PAPER, WIDTH, style, to_svg
 
 
 def draw(by_channel: Mapping[str, Mapping[str, float]], added: bool) -> str:
@@ -19,7 +19,7 @@ def draw(by_channel: Mapping[str, Mapping[str, float]], added: bool) -> str:
         axis.bar(place - 0.2, before, 0.38, color=COLOURS[1], label="refitted model")
         if added:
             axis.bar(place + 0.2, after, 0.38, color=COLOURS[0], label="with the effects found")
-        axis.axhline(1.0, color="0.3", linewidth=1, linestyle=":", label="sensors' noise")
+        axis.axhline(1.0, color=PAPER, linewidth=1, linestyle=":", label="sensors' noise")
         axis.set(xticks=place, xticklabels=names, ylabel="error / noise", yscale="log")
         low, high = min(0.8, before.min(), after.min()), max(before.max(), after.max(), 1.5)
         axis.set_ylim(0.9 * low, 1.2 * high)

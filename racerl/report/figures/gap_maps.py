@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from racerl.report.figures.style import COLOURS, WIDTH, style, to_svg
+from racerl.report.figures.style import COLOURS, PAPER, WIDTH, style, to_svg
 
 COLUMNS, MOST = 3, 6
 
@@ -27,7 +27,7 @@ def draw(
             _steps(axis, row, COLOURS[1], "refitted model")
             if _key(row) in later:
                 _steps(axis, later[_key(row)], COLOURS[0], "with the effects found")
-            axis.axhline(1.0, color="0.3", linewidth=1, linestyle=":", label="sensors' noise")
+            axis.axhline(1.0, color=PAPER, linewidth=1, linestyle=":", label="sensors' noise")
             axis.set_xlabel(f"{row['title']} / {row['unit']}" if row["unit"] else row["title"])
             axis.set_title(row["channel"], loc="right", fontsize=9)
             axis.set_ylim(bottom=0.0)

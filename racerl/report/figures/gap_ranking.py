@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from racerl.report.figures.style import COLOURS, WIDTH, style, to_svg
+from racerl.report.figures.style import COLOURS, PAPER, WIDTH, style, to_svg
 
 
 def draw(ranking: Sequence[dict[str, Any]]) -> str | None:
@@ -18,9 +18,9 @@ def draw(ranking: Sequence[dict[str, Any]]) -> str | None:
     with style():
         figure = Figure(figsize=(WIDTH, 0.9 + 0.35 * len(rows)))
         axis = figure.subplots()
-        colours = [COLOURS[0] if row is ranking[0] else COLOURS[1] for row in rows]
+        colours = [COLOURS[0] if row is ranking[0] else PAPER for row in rows]
         axis.barh(np.arange(len(rows)), shares, 0.6, color=colours)
-        axis.axvline(0.0, color="0.3", linewidth=1)
+        axis.axvline(0.0, color=PAPER, linewidth=1)
         axis.set(yticks=np.arange(len(rows)), yticklabels=[row["name"] for row in rows])
         axis.set_xlabel("excess error explained in held-out windows / %")
         axis.set_xlim(min(0.0, float(shares.min())) * 1.05, 105.0)

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from racerl.paper import NAMES, table_1
-from racerl.report.figures.style import PAPER, WIDTH, colour, style, to_svg
+from racerl.report.figures.style import PAPER, WARNING, WIDTH, colour, style, to_svg
 from racerl.report.subjects import Subject
 
 
@@ -39,7 +39,7 @@ def draw(subjects: Sequence[Subject]) -> str | None:
                 medianprops={"color": "black"},
             )
             axis.plot(values[valid], jitter[valid], "o", ms=3, color=colour(i))
-            axis.plot(values[~valid], jitter[~valid], "x", ms=4, color=colour(i))
+            axis.plot(values[~valid], jitter[~valid], "x", ms=4, color=WARNING)
         for row, (mean, std) in enumerate(zip(paper["mean_lap_s"], paper["std_lap_s"], strict=True), start=len(laps)):
             axis.errorbar(mean, row, xerr=std, fmt="D", ms=4, color=PAPER, capsize=3)
         axis.set_yticks(range(len(labels)), labels)

@@ -8,7 +8,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from racerl.paper import figure_6
-from racerl.report.figures.style import PAPER, WIDTH, style, to_svg
+from racerl.report.figures.style import INK, PAPER, WIDTH, style, to_svg
 from racerl.report.subjects import Evaluation, Subject
 
 MOST = 4  # panels
@@ -56,8 +56,8 @@ def _panel(axis: Axes, evaluation: Evaluation, limits: tuple[float, float]) -> L
     axis.plot(
         [start["left_x_m"], start["right_x_m"]],
         [start["left_y_m"], start["right_y_m"]],
-        color="red",
-        lw=1.5,
+        color=INK,
+        lw=3.0,
         label="start and finish",
     )
     axis.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")

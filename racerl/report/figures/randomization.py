@@ -1,6 +1,6 @@
 """The paper's Fig. 3: laps, E_off and crashes over what is randomized and by how much, in every car."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import pandas as pd
@@ -8,14 +8,19 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from racerl.paper import figure_3
-from racerl.report.figures.style import COLOURS, PAPER, WIDTH, style, to_svg
+from racerl.report.figures.style import PAPER, WIDTH, style, to_svg
 
-COLOUR = {"none": COLOURS[5], "friction": COLOURS[0], "all": COLOURS[1]}
+SWEEP, KINDS = "domain_randomization", ("none", "friction", "all")
 
 
-def draw(laps: pd.DataFrame, arms: Sequence[dict[str, Any]], cars: Sequence[str]) -> str | None:
-    """Return the SVG from laps and metrics of arms that are named none, friction_σ and all_σ; None without any."""
-    names = [name for name in dict.fromkeys(laps["arm"]) if name.partition("_")[0] in COLOUR]
+def draw(
+    laps: pd.DataFrame, arms: Sequence[dict[str, Any]], cars: Sequence[str], colours: Mapping[tuple[str, str], str]
+) -> str | None:
+    """Return the SVG from laps and metrics of arms that are named none, friction_σ and all_σ; None without any.
+
+    `colours` has every arm's by sweep and name.
+    """
+    names = [name for name in dict.fromkeys(laps["arm"]) if name.partition("_")[0] in KINDS]
     if not names:
         return None
     paper = {_arm(row.randomization, row.sigma): row for row in figure_3().itertuples()}
@@ -26,10 +31,11 @@ def draw(laps: pd.DataFrame, arms: Sequence[dict[str, Any]], cars: Sequence[str]
             time, off, crashes = axes[:, column]
             time.set_title(car)
             for i, name in enumerate(names):
-                _box(time, laps[(laps["arm"] == name) & (laps["car"] == car)]["time_s"].dropna(), i, _colour(name))
+                colour = colours[SWEEP, name]
+                _box(time, laps[(laps["arm"] == name) & (laps["car"] == car)]["time_s"].dropna(), i, colour)
                 row = next(row for row in arms if row["arm"] == name and row["car"] == car)
-                _bar(off, i, row["e_off"], 1.0, _colour(name))
-                _bar(crashes, i, row["crash_share"], 100.0, _colour(name))
+                _bar(off, i, row["e_off"], 1.0, colour)
+                _bar(crashes, i, row["crash_share"], 100.0, colour)
                 if name in paper:
                     time.plot(i, paper[name].median_lap_s, "D", ms=5, color=PAPER)
                     off.plot(i, paper[name].e_off, "D", ms=5, color=PAPER)
@@ -45,10 +51,6 @@ def draw(laps: pd.DataFrame, arms: Sequence[dict[str, Any]], cars: Sequence[str]
 
 def _arm(kind: str, sigma: float) -> str:
     return kind if kind == "none" else f"{kind}_{sigma:g}"
-
-
-def _colour(name: str) -> str:
-    return COLOUR[name.partition("_")[0]]
 
 
 def _label(name: str) -> str:

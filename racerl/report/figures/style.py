@@ -1,7 +1,7 @@
 """One look for all figures, and SVGs that are byte-identical when drawn twice."""
 
 import io
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -11,11 +11,32 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 WIDTH = 9.0  # inches, page width
-COLOURS = ("#0b6e99", "#d1495b", "#2e933c", "#edae49", "#6a4c93", "#66717e")
+# on white and on a dark page; none is red, and the first seven are apart for protanopes and deuteranopes too
+PALETTE = (
+    ("#0072b2", "#4ba3dc"),  # blue
+    ("#d98200", "#f0a63a"),  # orange
+    ("#00835f", "#35c79a"),  # green
+    ("#4a2fd6", "#7465ff"),  # violet
+    ("#38b2c4", "#9ceaff"),  # cyan
+    ("#14146e", "#94709c"),  # navy
+    ("#b0a058", "#9c6a18"),  # sand
+    ("#b0528f", "#f0b4dc"),  # mauve
+    ("#1f5c2e", "#4f8f5c"),  # dark green
+    ("#14808c", "#4cc0cc"),  # teal
+    ("#2c3a58", "#8ca0cc"),  # ink blue
+    ("#7a5230", "#b98f66"),  # brown
+    ("#7fc08a", "#a8f0b4"),  # light green
+    ("#5f6b76", "#a5b1bc"),  # slate
+    ("#8f8f8f", "#8a8a8a"),  # grey
+)
+COLOURS = tuple(light for light, _ in PALETTE)
 PAPER = "#444444"
+INK = "#000000"
+WARNING = "#b0232f"  # crashes and other mishaps alone
 SETTINGS: dict[Any, Any] = {
     "svg.hashsalt": "racerl",
-    "svg.fonttype": "path",
+    "svg.fonttype": "none",  # text stays text
+    "font.sans-serif": ["DejaVu Sans", "Verdana", "Arial"],  # the first is laid out with, the others are as wide
     "font.size": 10,
     "axes.grid": True,
     "grid.alpha": 0.3,
@@ -36,6 +57,12 @@ def style() -> Iterator[None]:
 def colour(index: int) -> str:
     """Return the colour of the index-th subject."""
     return COLOURS[index % len(COLOURS)]
+
+
+def assign(identities: Mapping[Any, Hashable]) -> dict[Any, str]:
+    """Return a colour for each key, the same for keys of one identity; a page hands it to all its figures."""
+    order = list(dict.fromkeys(identities.values()))
+    return {key: colour(order.index(identity)) for key, identity in identities.items()}
 
 
 def to_svg(figure: Figure) -> str:
