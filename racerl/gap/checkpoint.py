@@ -84,7 +84,8 @@ class Checkpoint:
 
 
 def _hash(inputs: Any) -> str:
-    return hashlib.sha256(json.dumps(inputs, default=_told).encode()).hexdigest()[:32]
+    """Return a hash of some inputs; the order of a mapping, which may be that of a set, says nothing."""
+    return hashlib.sha256(json.dumps(inputs, sort_keys=True, default=_told).encode()).hexdigest()[:32]
 
 
 def _told(part: Any) -> Any:

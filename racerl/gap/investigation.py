@@ -86,7 +86,7 @@ class Investigation:
         checkpoint: Checkpoint | None = None,
     ) -> None:
         self.evidence = dict(evidence)
-        self.checkpoint, self._stopped = checkpoint or Checkpoint(), Event()
+        self.checkpoint, self.stopped = checkpoint or Checkpoint(), Event()
         self.vehicle, self.catalogue, self.threads = vehicle, catalogue, threads
         self.limits = dict(limits or {})
         self.unknowns = [
@@ -134,9 +134,14 @@ class Investigation:
                     results.append(result)
                     on_progress(item, len(results) / len(items))
             except BaseException:
-                self._stopped.set()
+                self.stopped.set()
                 raise
         return results
+
+    def go_on(self) -> None:
+        """Raise CancelledError where another thread has failed or was interrupted."""
+        if self.stopped.is_set():
+            raise CancelledError
 
     def knowing(self, catalogue: Mapping[str, Sequence[Effect]]) -> "Investigation":
         """Return the same logs and refitted vehicle with another catalogue of effects."""
@@ -223,8 +228,7 @@ class Investigation:
         key = self.checkpoint.key("fit", problem.told(), theta, initial, chosen, iterations)
 
         def worked_out() -> Fit:
-            if self._stopped.is_set():
-                raise CancelledError
+            self.go_on()
             return problem.fit(theta, initial, chosen, iterations)
 
         if (parts := self.checkpoint.find(key)) is not None:
