@@ -45,7 +45,8 @@ class Checkpoint:
             log.warning("%s: is of other logs, another racerl or another machine; it is passed over", run / FOLDER)
         return cls(folder)
 
-    def key(self, *inputs: Any) -> str:
+    @staticmethod
+    def key(*inputs: Any) -> str:
         """Return the name of what is worked out from some inputs: arrays, numbers, text, lists and mappings of them."""
         return _hash(inputs)
 
