@@ -2,8 +2,10 @@
 
 import os
 
-# one private kernel cache and no user configuration for the whole suite
 os.environ.setdefault("MPLBACKEND", "Agg")
+# tests run side by side, one to a core; threads of one that wait for a core spin, and stop the other
+for library in ("OMP", "OPENBLAS", "MKL"):
+    os.environ.setdefault(f"{library}_NUM_THREADS", "1")
 
 from pathlib import Path
 from typing import Any
@@ -12,7 +14,7 @@ import hypothesis
 import pytest
 import torch
 
-from racerl.assemble import conf_folder
+from racerl.assemble import build_track, conf_folder
 from racerl.config import compose_settings
 from racerl.evaluate.evaluate import evaluate
 from racerl.train.train import train
@@ -47,3 +49,13 @@ def smoke_evaluation(smoke_run: Path) -> Path:
     out = smoke_run.parent.parent / "evaluate" / "smoke"
     evaluate(compose_settings("evaluate", [f"run='{smoke_run}'", "laps=2", "seeds=[0,1]"]), out)
     return out
+
+
+@pytest.fixture(scope="session")
+def middle_line(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A raceline in the TUM format along the middle of the default track, at 1.4 m/s."""
+    track = build_track(compose_settings("train", []))
+    rows = [f"{0:.3f}; {x:.4f}; {y:.4f}; 0; 0; 1.4; 0" for x, y in zip(track.x, track.y, strict=True)]
+    path = tmp_path_factory.mktemp("line") / "line.csv"
+    path.write_text("# s_m; x_m; y_m; psi_rad; kappa_radpm; vx_mps; ax_mps2\n" + "\n".join(rows))
+    return path

@@ -1,11 +1,13 @@
 """From CasADi functions to compiled C: one statement per instruction inside a loop over lanes, which the system's
 compiler vectorises.
 
-The library is kept in the user's cache under a hash of source, compiler and processor, so that it is built once and
-many processes may build it at once.
+The library is kept in the user's cache under a hash of source, compiler and processor, so that it is built once, also
+where many processes ask for it at once.
 """
 
+import contextlib
 import ctypes
+import fcntl
 import functools
 import hashlib
 import logging
@@ -16,7 +18,7 @@ import shutil
 import signal
 import subprocess
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -181,9 +183,11 @@ def build(code: str, effort: Sequence[str] = THOROUGH) -> ctypes.CDLL | None:
 
 
 def _compile(compiler: Sequence[str], code: str, library: Path) -> None:
-    """Build beside the target and rename, so that many processes may do it at once."""
+    """Build beside the target and rename; processes that want the same library wait for the first of them."""
     library.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=library.parent) as folder:
+    with _alone(library.with_suffix(".lock")), tempfile.TemporaryDirectory(dir=library.parent) as folder:
+        if library.is_file():
+            return
         path, unit, built = (Path(folder) / f"kernel.{suffix}" for suffix in ("c", "o", "so"))
         path.write_text(code)
         # linked without -ffast-math, which would make the whole process flush subnormal numbers to zero
@@ -193,6 +197,17 @@ def _compile(compiler: Sequence[str], code: str, library: Path) -> None:
         ):
             subprocess.run(command, capture_output=True, check=True, timeout=BUILD_TIME_LIMIT)  # noqa: S603
         built.replace(library)
+
+
+@contextlib.contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """Hold a lock file, which the death of its owner releases."""
+    with path.open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        try:
+            yield
+        finally:
+            path.unlink(missing_ok=True)
 
 
 def _processor() -> str:

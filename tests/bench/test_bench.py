@@ -10,7 +10,7 @@ from racerl.report.figures import cost
 
 
 def test_identify(tmp_path):
-    words = ["identify", "seconds=40", "shorter=[20]", "passes=3"]
+    words = ["identify", "seconds=24", "shorter=[12]", "passes=2"]
     words = ["threads=1", *(f"benchmark{'.' if '=' in word else '='}{word}" for word in words)]
     settings = compose_settings("bench", words)
     facts = bench(settings, tmp_path / "out", compose_settings)
@@ -19,7 +19,7 @@ def test_identify(tmp_path):
     assert facts["gauss_newton"]["cost"] <= facts["adamw"]["cost"]
     expected = facts["torch_adamw"]["seconds"] / facts["gauss_newton"]["seconds"]
     assert facts["ratio_torch_adamw_to_gauss_newton"] == pytest.approx(expected)
-    assert [round(row["log_seconds"]) for row in facts["growth"]] == [20, 40]
+    assert [round(row["log_seconds"]) for row in facts["growth"]] == [12, 24]
     assert facts["growth"][1]["command_seconds"] == facts["command"]["seconds"]
     assert cost.draw(facts) == cost.draw(facts)  # byte for byte
     assert facts["threads"] == 1 and {"cpu", "git_sha", "libraries"} <= set(facts)

@@ -75,17 +75,15 @@ def test_cars_have_plans_of_their_own():
     assert torch.allclose(alone.state[:, 0], together.state[:, 1], atol=1e-3)
 
 
-def test_pure_pursuit_laps_cleanly_on_the_optimum_and_on_a_line_of_ones_own(tmp_path):
+def test_pure_pursuit_laps_cleanly_on_the_optimum_and_on_a_line_of_ones_own(tmp_path, middle_line):
     field, pursuer = ready("controller=pure_pursuit")
     result = score(drive(field, pursuer, 2))
     assert result["valid_laps"] == 2 and result["mean_lap_s"] < 9.0
-    track = field.track
-    rows = [f"{0:.3f}; {x:.4f}; {y:.4f}; 0; 0; 1.4; 0" for x, y in zip(track.x, track.y, strict=True)]
-    line = tmp_path / "line.csv"
-    line.write_text("# s_m; x_m; y_m; psi_rad; kappa_radpm; vx_mps; ax_mps2\n" + "\n".join(rows))
-    field, pursuer = ready("controller=pure_pursuit", f"controller.raceline={line}", "controller.speed=1.0")
+    words = ["controller=pure_pursuit", f"controller.raceline={middle_line}", "controller.speed=1.0"]
+    field, pursuer = ready(*words)
     slow = score(drive(field, pursuer, 1))
-    assert slow["valid_laps"] == 1 and slow["mean_lap_s"] == pytest.approx(track.length / 1.4, rel=0.08)
+    assert slow["valid_laps"] == 1 and slow["mean_lap_s"] == pytest.approx(field.track.length / 1.4, rel=0.08)
+    line, rows = tmp_path / "line.csv", middle_line.read_text().splitlines()[1:]
     line.write_text("x,y\n1,2\n")
     with pytest.raises(ConfigError, match="no TUM raceline"):
         ready("controller=pure_pursuit", f"controller.raceline={line}")

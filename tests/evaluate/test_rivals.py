@@ -18,15 +18,14 @@ def raced(out, *words):
     return metrics
 
 
-def test_a_race_leaves_what_a_policys_leaves(tmp_path):
-    metrics = raced(tmp_path / "a", "controller=pure_pursuit", "laps=1", "seeds=[0,1]", "car=twin")
+def test_a_race_leaves_what_a_policys_leaves(tmp_path, middle_line):
+    words = ["controller=pure_pursuit", f"controller.raceline={middle_line}", "laps=1", "seeds=[0,1]", "car=twin"]
+    metrics = raced(tmp_path / "a", *words)
     assert metrics["laps"] == 2 and metrics["car"] == "twin" and metrics["label"] == "pure pursuit"
     drive = pd.read_parquet(tmp_path / "a" / "trajectories.parquet")
     assert set(drive["seed"]) == {0, 1} and drive["lap"].max() >= 1
     # the same again
-    assert (
-        raced(tmp_path / "b", "controller=pure_pursuit", "laps=1", "seeds=[0,1]", "car=twin")["rows"] == metrics["rows"]
-    )
+    assert raced(tmp_path / "b", *words)["rows"] == metrics["rows"]
     (subject,) = find_subjects([tmp_path / "a"], tmp_path)
     assert subject.title == "pure pursuit" and subject.evaluation is not None
 
@@ -35,6 +34,11 @@ def test_the_optimum_is_a_lap_that_nobody_drives(tmp_path):
     bound = raced(tmp_path / "bound", "controller=optimum")
     assert bound["laps"] == bound["valid_laps"] == 1 and bound["e_off"] == 0.0
     assert bound["mean_lap_s"] == pytest.approx(5.164, abs=0.002)
+
+
+@pytest.mark.slow
+def test_the_twins_optimum_is_slower(tmp_path):
+    bound = raced(tmp_path / "bound", "controller=optimum")
     slower = raced(tmp_path / "twin", "controller=optimum", "car=twin")
     assert bound["mean_lap_s"] < slower["mean_lap_s"] < 5.35  # less grip, but the same limits
 

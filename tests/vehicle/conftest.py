@@ -1,13 +1,18 @@
 """Cars of every kind, and random states for them."""
 
+from functools import cache
 from typing import Any
 
+import casadi
+import numpy as np
 import pytest
 import torch
 
 from racerl.assemble import build_vehicle
 from racerl.config import compose_settings
 from racerl.vehicle import catalogue
+from racerl.vehicle.integrate import advance
+from racerl.vehicle.ops import CasadiOps
 from racerl.vehicle.vehicle import Vehicle
 
 EFFECTS = catalogue.names()
@@ -15,6 +20,7 @@ ALL = f"+vehicle/effect=[{','.join(EFFECTS)}]"
 DRIVES = ["sim=default", "sim=no_actuators", "sim=motor_current"]
 
 
+@cache
 def make_car(*overrides: str) -> Vehicle:
     return build_vehicle(compose_settings("train", overrides))
 
@@ -49,3 +55,12 @@ def random_states(car: Vehicle, count: int, seed: int = 0, slow: bool = False) -
     rows["omega"] = rows["v_x"] * uniform(0.5, 1.5) + uniform(-0.2, 0.2)
     command = torch.stack([uniform(-0.5, 0.5), uniform(0.01, 7.0)])
     return torch.stack([rows[name] for name in car.states]), command
+
+
+def travel(car: Vehicle, state: torch.Tensor, command: torch.Tensor, dt: float, steps: int) -> torch.Tensor:
+    """Return the states (steps, S, N) after each of many Runge–Kutta steps; eager torch takes seconds for them."""
+    count = state.shape[1]
+    x, u = casadi.SX.sym("x", len(car.states)), casadi.SX.sym("u", 2)
+    step = casadi.Function("step", [x, u], [advance(car, x, u, dt, 1, CasadiOps())])
+    found = step.map(count).mapaccum(steps)(state.numpy(), np.tile(command.numpy(), steps))
+    return torch.as_tensor(np.array(found).reshape(len(car.states), steps, count).transpose(1, 0, 2))

@@ -11,10 +11,9 @@ from racerl.errors import ConfigError
 from racerl.vehicle import catalogue
 from racerl.vehicle.effects.learned_network import LearnedNetwork
 from racerl.vehicle.effects.learned_residual import LearnedResidual
-from racerl.vehicle.integrate import advance
 from racerl.vehicle.ops import TORCH
 from racerl.vehicle.vehicle import COMMAND, STATE, Vehicle
-from tests.vehicle.conftest import make_car, random_states
+from tests.vehicle.conftest import make_car, random_states, travel
 
 CONTRACT = (
     "steering_delay",
@@ -165,7 +164,7 @@ def turn_rate(car: Vehicle, delta: float = 0.1, speed: float = 1.5) -> float:
     """Return the steady yaw rate in rad/s."""
     state = states(car, v_x=speed, omega=speed, delta=delta)
     command = torch.tensor([[delta], [speed]], dtype=torch.float64)
-    return float(advance(car, state, command, 0.005, 600, TORCH)[ROW["yaw_rate"]])
+    return float(travel(car, state, command, 0.005, 600)[-1, ROW["yaw_rate"]])
 
 
 @pytest.mark.parametrize(
@@ -226,7 +225,7 @@ def test_the_pitch_follows_the_acceleration_of_the_car():
     car = with_effect("longitudinal_load_transfer", height=0.06)
     state = states(car, v_x=2.0, omega=2.4)
     command = torch.tensor([[0.0], [2.4]], dtype=torch.float64)
-    moved = advance(car, state, command, 0.001, 40, TORCH)
+    moved = travel(car, state, command, 0.001, 40)[-1]
     rate = car.derivative(moved, command, TORCH)
     assert float(moved[8]) == pytest.approx(float(rate[ROW["v_x"]]), rel=0.2) and float(moved[8]) > 0.5
 
@@ -235,25 +234,14 @@ def test_play_has_two_sides():
     """Coming from the left or from the right, the wheels rest on different sides of the gap."""
     car = with_effect("steering_backlash", play=0.04)
     effect, index = car.effects["steering_backlash"], car.states.index("steering_backlash.wheel")
-    came_from_left, came_from_right = (
-        advance(
-            car,
-            advance(
-                car,
-                states(car, v_x=1.0, omega=1.0),
-                torch.tensor([[side], [1.0]], dtype=torch.float64),
-                0.002,
-                500,
-                TORCH,
-            ),
-            torch.tensor([[0.0], [1.0]], dtype=torch.float64),
-            0.002,
-            500,
-            TORCH,
-        )
-        for side in (0.2, -0.2)
-    )
-    for state, angle in ((came_from_left, 0.02), (came_from_right, -0.02)):
+
+    def turned_back(side: float) -> torch.Tensor:
+        state = states(car, v_x=1.0, omega=1.0)
+        for angle in (side, 0.0):
+            state = travel(car, state, torch.tensor([[angle], [1.0]], dtype=torch.float64), 0.002, 500)[-1]
+        return state
+
+    for state, angle in ((turned_back(0.2), 0.02), (turned_back(-0.2), -0.02)):
         own = {"steering_backlash.wheel": state[index]}
         assert float(effect.link(state[ROW["delta"]], own, TORCH)) == pytest.approx(angle, abs=1e-3)
 
@@ -261,14 +249,14 @@ def test_play_has_two_sides():
 def test_a_second_order_servo_overshoots():
     car = with_effect("steering_second_order", frequency=30.0, damping=0.4)
     state, command = states(car, v_x=1.0, omega=1.0), torch.tensor([[0.2], [1.0]], dtype=torch.float64)
-    peak = max(float(advance(car, state, command, 0.002, steps, TORCH)[ROW["delta"]]) for steps in range(20, 120, 4))
+    peak = float(travel(car, state, command, 0.002, 120)[:, ROW["delta"]].max())
     assert peak == pytest.approx(0.2 * (1 + math.exp(-math.pi * 0.4 / math.sqrt(1 - 0.16))), rel=0.01)
 
 
 def test_a_deadband_leaves_the_servo_short_of_its_command():
     car = with_effect("steering_deadband", width=0.02)
     state, command = states(car, v_x=1.0, omega=1.0), torch.tensor([[0.2], [1.0]], dtype=torch.float64)
-    short = 0.2 - float(advance(car, state, command, 0.002, 500, TORCH)[ROW["delta"]])
+    short = 0.2 - float(travel(car, state, command, 0.002, 500)[-1, ROW["delta"]])
     assert 0.01 < short < 0.03
 
 
