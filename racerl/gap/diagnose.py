@@ -2,7 +2,7 @@
 
 import re
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from racerl.gap.checkpoint import Checkpoint
 from racerl.gap.evidence import Evidence, channels_of
 from racerl.gap.investigation import COG, FAR, Found, Investigation
 from racerl.gap.locate import locate
-from racerl.gap.name import Decision, intervals, name_effects, within
+from racerl.gap.name import Decision, OnProgress, intervals, name_effects, within
 from racerl.gap.prove import prove
 from racerl.gap.stage import CHAIN, Stage, stages
 from racerl.gap.verdict import Verdict, judge, separable
@@ -41,9 +41,8 @@ PROGRAMME = (
     "ten runs or more with step steers of three sizes, slow ramps to full lock, circles of two radii at two speeds "
     "both ways round, speed steps up and down, and coast-downs, at up to the tyres' limit"
 )
-NAMING = 0.06, 0.93  # shares of the work between which effects are named
+NAMING, PROVING, LEARNING = (0.06, 0.8), 0.82, 0.85  # shares of the work: where each begins, and naming ends
 CLAIMS = ("named", "multiple", "ambiguous")
-OnProgress = Callable[[str, float], None]
 
 
 def gap(settings: Mapping[str, Any], out: Path, on_progress: OnProgress = lambda what, share: None) -> dict[str, Any]:
@@ -167,7 +166,7 @@ def _steps(
     on_progress("add", NAMING[1])
     named = _named(decision, verdict, intervals(decision.found, investigation.deviations(decision.found)))
     write_json(folder / NAME, named)
-    on_progress("prove", 0.94)
+    on_progress("prove", PROVING)
     proof = prove(investigation, decision.found, seed)
     write_json(folder / PROOF, proof)
     facts = {
@@ -188,8 +187,7 @@ def _steps(
         **told,
     }
     if verdict.kind == "unknown":
-        on_progress("learning a residual", 0.97)
-        facts["residual"] = _residual(investigation, settings, folder, told)
+        facts["residual"] = _residual(investigation, settings, folder, told, within(on_progress, LEARNING, 1.0))
     return facts, decision.found if facts["effects"] else investigation.base
 
 
@@ -198,9 +196,10 @@ def _residual(
     settings: Mapping[str, Any],
     folder: Path,
     told: Mapping[str, Any],
+    on_progress: OnProgress,
 ) -> dict[str, Any] | None:
     """Write the vehicle with a learned residual if that helps; return what it explains."""
-    facts, found = residual.learn(investigation, settings["seed"])
+    facts, found = residual.learn(investigation, settings["seed"], on_progress)
     write_json(folder / RESIDUAL, facts)
     if not facts["effects"]:
         return None

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from racerl.gap.catalogue import placed
-from racerl.gap.checkpoint import Checkpoint
+from racerl.gap.checkpoint import Checkpoint, Parts
 from racerl.gap.evidence import Evidence
 from racerl.gap.growth import places
 from racerl.gap.kernels import StageKernels
@@ -456,8 +456,13 @@ class Investigation:
 
         How far the centre of gravity is from where it was weighed is known no better than it was weighed.
         """
-        covariance = found.problem.covariance(found.fit, [self.blocks(name) for name in found.cost])
-        deviations = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+
+        def variances() -> Parts:
+            covariance = found.problem.covariance(found.fit, [self.blocks(name) for name in found.cost])
+            return {"variances": np.diag(covariance)}
+
+        parts = self.checkpoint.recall(self.checkpoint.key("variances", found.key), variances)
+        deviations = np.sqrt(np.maximum(parts["variances"], 0.0))
         known = dict(zip(found.problem.names, deviations.tolist(), strict=True))
         offset, weighed = f"effects.{COG}.offset", {u.name: u.sigma for u in self.unknowns}.get("l_f", 0.0)
         return {**known, offset: float(np.hypot(known[offset], weighed))} if offset in known else known
