@@ -114,6 +114,7 @@ def name_effects(
 ) -> Decision:
     """Return the effects that held-out windows ask for."""
     base = investigation.base
+    on_progress("first-order gains", 0.0)
     cost = investigation.held_out(base)
     scores = investigation.scores(base)
     score = summed(scores.values())

@@ -15,10 +15,11 @@ from racerl.config import compose_settings
 from racerl.data.load import load_given
 from racerl.errors import RunError
 from racerl.gap.checkpoint import FOLDER, Checkpoint
-from racerl.gap.diagnose import cut, gap
+from racerl.gap.diagnose import cut, gap, investigate
 from racerl.gap.investigation import Investigation
 from racerl.gap.problem import Problem
 from racerl.vehicle import catalogue, codegen
+from racerl.vehicle.load import load_vehicle
 from tests.gap.conftest import drive
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler on this machine")
@@ -109,6 +110,23 @@ def test_parts_that_are_damaged_or_another_s_are_worked_out_again(steered, stopp
     )
     assert len(fits) <= 6
     assert (out / "verdict.json").read_bytes() == (steered.out / "verdict.json").read_bytes()
+
+
+@needs_compiler
+def test_what_judging_asks_of_a_finished_fit_needs_no_fit_again(steered, tmp_path, monkeypatch):
+    logs = load_given(steered.settings)
+    evidence = cut(logs, steered.settings)
+
+    def asked():
+        checkpoint = Checkpoint.of(tmp_path, steered.settings, evidence)
+        vehicle = load_vehicle(steered.settings["vehicle"])
+        investigation = investigate(evidence, logs, vehicle, steered.settings, checkpoint)
+        base = investigation.base
+        cost = {name: part.tolist() for name, part in investigation.held_out(base).items()}
+        return base.theta, investigation.deviations(base), cost, investigation.noise_cost(base)
+
+    first, fits = asked(), counted(monkeypatch)
+    assert asked() == first and not fits
 
 
 @needs_compiler
