@@ -2,7 +2,8 @@
 
 import logging
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -286,6 +287,16 @@ def _run(
     run_command(command, arguments or [], logged, positional)
 
 
+@contextmanager
+def _continued(console: Any, out: Path, how: str = "continues") -> Iterator[None]:
+    """Say on Ctrl-C how to go on."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        console.print(f"interrupted; the same command with out={out} {how}", highlight=False, soft_wrap=True)
+        raise
+
+
 def _train(settings: "Settings", out: Path) -> None:
     from racerl.console import Bar, training_remark
     from racerl.train.session import Progress
@@ -302,12 +313,8 @@ def _train(settings: "Settings", out: Path) -> None:
         left = (progress.total_steps - progress.steps) / progress.steps_per_s if progress.steps_per_s else None
         bar.show(min(1.0, progress.steps / progress.total_steps), training_remark(progress), left)
 
-    try:
-        with Bar(console, "train") as bar:
-            facts = train(settings, out, show)
-    except KeyboardInterrupt:
-        console.print(f"interrupted; the same command with out={out} continues", highlight=False, soft_wrap=True)
-        raise
+    with _continued(console, out), Bar(console, "train") as bar:
+        facts = train(settings, out, show)
     best = facts["best"]
     lap = f"{best['mean_lap_s']:.3f} s" if best["mean_lap_s"] else "none"
     console.print(
@@ -403,7 +410,7 @@ def _identify(settings: "Settings", out: Path) -> None:
     from racerl.report.identification_page import draw_identification
 
     console = _console()
-    with Bar(console, "identify") as bar:
+    with _continued(console, out, "begins again"), Bar(console, "identify") as bar:
         facts = identify(settings, out, lambda what, share: bar.show(share, what))
     _print_identification(console, facts)
     page = draw_identification(out)
@@ -420,7 +427,7 @@ def _gap(settings: "Settings", out: Path) -> None:
     from racerl.report.gap_page import draw_gap
 
     console = _console()
-    with Bar(console, "gap") as bar:
+    with _continued(console, out), Bar(console, "gap") as bar:
         facts = gap(settings, out, lambda what, share: bar.show(share, what))
     page = draw_gap(out)
     _print_verdict(console, facts)
@@ -436,7 +443,7 @@ def _close(settings: "Settings", out: Path) -> None:
     from racerl.train.close import RESULT, close
 
     console = _console()
-    with Bar(console, "close") as bar:
+    with _continued(console, out), Bar(console, "close") as bar:
         facts = close(settings, out, compose_settings, bar.show)
     table = Table("policy", "seed", "mean lap [s]", "fastest [s]", "E_off [m s]", "crashes", "valid laps")
     for kind, policy in facts["policies"].items():
@@ -465,7 +472,7 @@ def _plan(settings: "Settings", out: Path) -> None:
     from racerl.report.figures import separability
 
     console = _console()
-    with Bar(console, "plan") as bar:
+    with _continued(console, out), Bar(console, "plan") as bar:
         facts = plan(settings, out, compose_settings, lambda what, share: bar.show(share, what))
     write_text(out / "separability.svg", separability.draw(facts))
     dark = [name for name, effect in facts["effects"].items() if not effect["shows"]]

@@ -1,8 +1,8 @@
-"""`racerl gap`: locate, name, add, prove. Each step leaves its own JSON; an interrupted run goes on behind it."""
+"""`racerl gap`: locate, name, add, prove. Each step leaves its own JSON; an interrupted run goes on behind its fits."""
 
 import re
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +13,14 @@ from racerl import bounds
 from racerl.data.inspect import inspect
 from racerl.data.load import load_given
 from racerl.data.log import POSE, Log
-from racerl.documents import conf_folder, read_json, write_json, write_text
+from racerl.documents import conf_folder, write_json, write_text
 from racerl.gap import residual
 from racerl.gap.catalogue import starts
+from racerl.gap.checkpoint import Checkpoint
 from racerl.gap.evidence import Evidence, channels_of
 from racerl.gap.investigation import COG, FAR, Found, Investigation
 from racerl.gap.locate import locate
-from racerl.gap.name import Decision, intervals, name_effects
+from racerl.gap.name import Decision, OnProgress, intervals, name_effects, within
 from racerl.gap.prove import prove
 from racerl.gap.stage import CHAIN, Stage, stages
 from racerl.gap.verdict import Verdict, judge, separable
@@ -40,8 +41,8 @@ PROGRAMME = (
     "ten runs or more with step steers of three sizes, slow ramps to full lock, circles of two radii at two speeds "
     "both ways round, speed steps up and down, and coast-downs, at up to the tyres' limit"
 )
+NAMING, PROVING, LEARNING = (0.06, 0.7), 0.72, 0.75  # shares of the work: where each begins, and naming ends
 CLAIMS = ("named", "multiple", "ambiguous")
-OnProgress = Callable[[str, float], None]
 
 
 def gap(settings: Mapping[str, Any], out: Path, on_progress: OnProgress = lambda what, share: None) -> dict[str, Any]:
@@ -67,13 +68,15 @@ def gap(settings: Mapping[str, Any], out: Path, on_progress: OnProgress = lambda
         facts = _silent(logs) | told
         write_text(folder.path / MODEL, yaml.safe_dump(vehicle_document(settings["vehicle"], {}, "wheel_speed")))
     else:
-        investigation = investigate(evidence, logs, vehicle, settings)
+        checkpoint = Checkpoint.of(folder.path, settings, evidence)
+        investigation = investigate(evidence, logs, vehicle, settings, checkpoint)
         whole = chain(logs, settings)
         facts, found = _steps(investigation, whole, settings, folder.path, told, on_progress)
         _write_vehicle(folder.path / MODEL, settings, facts, investigation, found)
         _write_vehicle(folder.path / MODEL_BEFORE, settings, facts, investigation, investigation.base)
     write_json(folder.path / VERDICT, facts)
     folder.finish(seconds=round(time.perf_counter() - began, 2))
+    Checkpoint.remove(folder.path)
     return facts
 
 
@@ -106,7 +109,11 @@ def chain(logs: Sequence[Log], settings: Mapping[str, Any]) -> Evidence | None:
 
 
 def investigate(
-    evidence: Mapping[str, Evidence], logs: Sequence[Log], vehicle: Vehicle, settings: Mapping[str, Any]
+    evidence: Mapping[str, Evidence],
+    logs: Sequence[Log],
+    vehicle: Vehicle,
+    settings: Mapping[str, Any],
+    checkpoint: Checkpoint,
 ) -> Investigation:
     """Return the evidence with the vehicle refitted to it, and the effects that it may lack."""
     unknowns = choose_unknowns(vehicle, settings["priors"], settings["hold"], vehicle)
@@ -131,6 +138,7 @@ def investigate(
         folds=settings["folds"],
         threads=settings["threads"],
         seed=settings["seed"],
+        checkpoint=checkpoint,
     )
 
 
@@ -148,15 +156,19 @@ def _steps(
 ) -> tuple[dict[str, Any], Found]:
     """Carry out the four steps; return the verdict's document and the refitted vehicle with what was named."""
     seed = settings["seed"]
-    on_progress("locate", 0.1)
-    located = _once(folder / LOCATE, lambda: locate(investigation, whole, seed))
-    decision = name_effects(investigation, seed, lambda what, share: on_progress(f"name: {what}", 0.15 + 0.75 * share))
+    on_progress("locate", NAMING[0] / 2.0)
+    located = locate(investigation, whole, seed)
+    write_json(folder / LOCATE, located)
+    decision = name_effects(
+        investigation, seed, within(lambda what, share: on_progress(f"name: {what}", share), *NAMING)
+    )
     verdict = judge(investigation, decision)
-    on_progress("add", 0.9)
+    on_progress("add", NAMING[1])
     named = _named(decision, verdict, intervals(decision.found, investigation.deviations(decision.found)))
     write_json(folder / NAME, named)
-    on_progress("prove", 0.95)
-    proof = _once(folder / PROOF, lambda: prove(investigation, decision.found, seed))
+    on_progress("prove", PROVING)
+    proof = prove(investigation, decision.found, seed)
+    write_json(folder / PROOF, proof)
     facts = {
         "verdict": verdict.kind,
         "reason": verdict.reason,
@@ -175,8 +187,7 @@ def _steps(
         **told,
     }
     if verdict.kind == "unknown":
-        on_progress("learning a residual", 0.97)
-        facts["residual"] = _residual(investigation, settings, folder, told)
+        facts["residual"] = _residual(investigation, settings, folder, told, within(on_progress, LEARNING, 1.0))
     return facts, decision.found if facts["effects"] else investigation.base
 
 
@@ -185,9 +196,10 @@ def _residual(
     settings: Mapping[str, Any],
     folder: Path,
     told: Mapping[str, Any],
+    on_progress: OnProgress,
 ) -> dict[str, Any] | None:
     """Write the vehicle with a learned residual if that helps; return what it explains."""
-    facts, found = residual.learn(investigation, settings["seed"])
+    facts, found = residual.learn(investigation, settings["seed"], on_progress)
     write_json(folder / RESIDUAL, facts)
     if not facts["effects"]:
         return None
@@ -199,15 +211,6 @@ def _residual(
         "terms": list(kept[0]["weights"]),
         "vehicle": RESIDUAL_MODEL,
     }
-
-
-def _once(path: Path, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    """Return a step's findings, those of an interrupted run where they are there."""
-    if path.is_file():
-        return read_json(path)
-    found = make()
-    write_json(path, found)
-    return found
 
 
 def _named(decision: Decision, verdict: Verdict, ranges: Mapping[str, tuple[float, float, float]]) -> dict[str, Any]:

@@ -6,8 +6,9 @@ all windows rank; folds of stretches that are left out decide.
 
 import copy
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import CancelledError, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from threading import Event
 from typing import Any, NamedTuple, TypeVar
 from weakref import WeakKeyDictionary
 
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from racerl.gap.catalogue import placed
+from racerl.gap.checkpoint import Checkpoint, Parts
 from racerl.gap.evidence import Evidence
 from racerl.gap.growth import places
 from racerl.gap.kernels import StageKernels
@@ -55,6 +57,7 @@ class Found:
     cost: dict[str, Array]
     fit: Fit
     problem: Problem
+    key: str  # of all that it came from
 
 
 class Screened(NamedTuple):
@@ -80,8 +83,10 @@ class Investigation:
         folds: int = 8,
         threads: int = 1,
         seed: int = 0,
+        checkpoint: Checkpoint | None = None,
     ) -> None:
         self.evidence = dict(evidence)
+        self.checkpoint, self.stopped = checkpoint or Checkpoint(), Event()
         self.vehicle, self.catalogue, self.threads = vehicle, catalogue, threads
         self.limits = dict(limits or {})
         self.unknowns = [
@@ -118,13 +123,25 @@ class Investigation:
         items: Sequence[Item],
         on_progress: Callable[[Item, float], None] = lambda item, share: None,
     ) -> list[Result]:
-        """Return a function of every item, in their order; all threads work, and their number changes nothing."""
+        """Return a function of every item, in their order; all threads work, and their number changes nothing.
+
+        Where one fails, or the user interrupts, the others end before their next fit.
+        """
         results = []
         with ThreadPoolExecutor(self.threads) as pool:
-            for item, result in zip(items, pool.map(function, items), strict=True):
-                results.append(result)
-                on_progress(item, len(results) / len(items))
+            try:
+                for item, result in zip(items, pool.map(function, items), strict=True):
+                    results.append(result)
+                    on_progress(item, len(results) / len(items))
+            except BaseException:
+                self.stopped.set()
+                raise
         return results
+
+    def go_on(self) -> None:
+        """Raise CancelledError where another thread has failed or was interrupted."""
+        if self.stopped.is_set():
+            raise CancelledError
 
     def knowing(self, catalogue: Mapping[str, Sequence[Effect]]) -> "Investigation":
         """Return the same logs and refitted vehicle with another catalogue of effects."""
@@ -207,7 +224,18 @@ class Investigation:
         table = {name: float(value) for name, value in values(vehicle).items()}
         initial = None if start is None else [_begun(stage, start.initial, index) for stage in problem.stages]
         chosen = None if index is None else [index[name] for name in names]
-        fit = problem.fit({n: table[n] for n in problem.names}, initial, chosen, iterations)
+        theta = {n: table[n] for n in problem.names}
+        key = self.checkpoint.key("fit", problem.told(), theta, initial, chosen, iterations)
+
+        def worked_out() -> Fit:
+            self.go_on()
+            return problem.fit(theta, initial, chosen, iterations)
+
+        if (parts := self.checkpoint.find(key)) is not None:
+            fit = Fit.of(parts, problem.names, lambda: worked_out().lines)
+        else:
+            fit = worked_out()
+            self.checkpoint.keep(key, fit.parts())
         fitted = replace_values(vehicle, fit.theta)
         return Found(
             effects,
@@ -220,6 +248,7 @@ class Investigation:
             dict(zip(names, fit.cost, strict=True)),
             fit,
             problem,
+            key,
         )
 
     def _known_elsewhere(self, stages: Sequence[str]) -> set[str]:
@@ -354,7 +383,11 @@ class Investigation:
     def noise_cost(self, found: Found) -> dict[str, float]:
         """Return the cost per stage that sensors' noise alone would leave if a fitted vehicle were right."""
         if found not in self._noise_cost:
-            self._noise_cost[found] = self._squares(self.expected(found))
+            key = self.checkpoint.key("noise", found.key, self.noise, self.seed)
+            parts = self.checkpoint.recall(
+                key, lambda: {name: np.array([part]) for name, part in self._squares(self.expected(found)).items()}
+            )
+            self._noise_cost[found] = {name: float(parts[name][0]) for name in found.cost}
         return self._noise_cost[found]
 
     def _squares(self, errors: Mapping[str, Array]) -> dict[str, float]:
@@ -397,8 +430,12 @@ class Investigation:
         """Return the cost of every window under parameters that have not seen its fold, per stage."""
         if found not in self._held_out:
             names = list(found.cost)
-            cost = found.problem.held_out(found.fit, [[fold[name] for name in names] for fold in self.folds])
-            self._held_out[found] = dict(zip(names, cost, strict=True))
+            folds = [[fold[name] for name in names] for fold in self.folds]
+            parts = self.checkpoint.recall(
+                self.checkpoint.key("held out", found.key, folds),
+                lambda: dict(zip(names, found.problem.held_out(found.fit, folds), strict=True)),
+            )
+            self._held_out[found] = {name: parts[name] for name in names}
         return self._held_out[found]
 
     def errors(self, found: Found) -> dict[str, Array]:
@@ -419,8 +456,13 @@ class Investigation:
 
         How far the centre of gravity is from where it was weighed is known no better than it was weighed.
         """
-        covariance = found.problem.covariance(found.fit, [self.blocks(name) for name in found.cost])
-        deviations = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+
+        def variances() -> Parts:
+            covariance = found.problem.covariance(found.fit, [self.blocks(name) for name in found.cost])
+            return {"variances": np.diag(covariance)}
+
+        parts = self.checkpoint.recall(self.checkpoint.key("variances", found.key), variances)
+        deviations = np.sqrt(np.maximum(parts["variances"], 0.0))
         known = dict(zip(found.problem.names, deviations.tolist(), strict=True))
         offset, weighed = f"effects.{COG}.offset", {u.name: u.sigma for u in self.unknowns}.get("l_f", 0.0)
         return {**known, offset: float(np.hypot(known[offset], weighed))} if offset in known else known

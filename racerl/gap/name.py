@@ -19,6 +19,7 @@ from racerl.vehicle import catalogue
 from racerl.vehicle.vehicle import Vehicle
 
 Array = NDArray[np.float64]
+OnProgress = Callable[[str, float], None]
 SHORTLIST, CONTINUED = 8, 4  # candidates of each stage that are screened, and fitted to the end
 FAINT = 0.15  # of the most gain in screening, below which a candidate is given up
 FORETOLD, FIRST = 0.5, 2  # of the most first-order gain, above which so many are fitted whatever screening says
@@ -27,6 +28,8 @@ CLOSE = 0.5  # of the most gain, above which a candidate's fit is carried on to 
 LOST = 5.0  # times the noise's cost, beyond which a fit says nothing of what is missing
 HOPELESS = 30.0  # first-order gain, a χ², below which no effect is worth a fit
 ROUNDS = 4
+REVIEW = 0.9  # share of the naming behind which effects are judged again
+SCREENED, FITTED = 0.7, 0.95  # shares of a round behind which candidates are screened, and fitted
 RESAMPLES = 2000
 OUTER = 0.02  # share of the blocks on each side that count no more than their neighbours
 CLEAR = 3.0  # standard errors by which a gain must differ from zero
@@ -107,10 +110,11 @@ class Decision:
 
 
 def name_effects(
-    investigation: Investigation, seed: int, on_progress: Callable[[str, float], None] = lambda what, share: None
+    investigation: Investigation, seed: int, on_progress: OnProgress = lambda what, share: None
 ) -> Decision:
     """Return the effects that held-out windows ask for."""
     base = investigation.base
+    on_progress("first-order gains", 0.0)
     cost = investigation.held_out(base)
     scores = investigation.scores(base)
     score = summed(scores.values())
@@ -120,14 +124,15 @@ def name_effects(
     for number in range(ROUNDS):
         if number:
             scores = investigation.scores(decision.found)
-        scored = _round(judge, decision, scores, _within(on_progress, number))
+        part = number * REVIEW / ROUNDS, (number + 1) * REVIEW / ROUNDS
+        scored = _round(judge, decision, scores, within(on_progress, *part))
         while scored and scored[0].wanted and _deaf(judge, decision, scored[0]):
             scored = judge.ranked(scored[1:], decision.cost)
         decision.rounds.append(scored)
         if not scored or not scored[0].wanted:
             break
         decision = _with(investigation, decision, scored)
-    return _settled(investigation, _reviewed(judge, decision))
+    return _settled(investigation, _reviewed(judge, decision, within(on_progress, REVIEW, 1.0)))
 
 
 def _with(investigation: Investigation, decision: Decision, scored: list[Scored]) -> Decision:
@@ -161,13 +166,12 @@ def _deaf(judge: "Judge", decision: Decision, best: Scored) -> bool:
     return best.gain - sum(passed) < CLEAR * best.error
 
 
-def _within(on_progress: Callable[[str, float], None], number: int) -> Callable[[str, float], None]:
-    return lambda what, share: on_progress(what, (number + share) / ROUNDS)
+def within(on_progress: OnProgress, low: float, high: float) -> OnProgress:
+    """Return the progress of a part of the work, between two shares of the whole."""
+    return lambda what, share: on_progress(what, low + (high - low) * share)
 
 
-def _round(
-    judge: "Judge", decision: Decision, scores: Mapping[str, Score], on_progress: Callable[[str, float], None]
-) -> list[Scored]:
+def _round(judge: "Judge", decision: Decision, scores: Mapping[str, Score], on_progress: OnProgress) -> list[Scored]:
     """Return the candidates beside those chosen, on held-out windows, best first."""
     investigation, current = judge.investigation, decision.found
     lost = {stage for stage in scores if investigation.beyond(current, [stage]) > LOST}
@@ -181,10 +185,11 @@ def _round(
             each.name, investigation.add(current, each.name, each.vehicle), decision.cost, decision.noise
         )
 
-    tried = investigation.each(screened, _shortlist(scores, lost), on_progress)
+    tried = investigation.each(screened, _shortlist(scores, lost), within(on_progress, 0.0, SCREENED))
     shown = [each for each in tried if each is not None]
     hopeful = {each.name: each for name, score in scores.items() for each in _hopeful(shown, score, name)}
-    scored = investigation.each(added, list(hopeful.values()))
+    fitted = within(on_progress, SCREENED, FITTED)
+    scored = investigation.each(added, list(hopeful.values()), lambda each, share: fitted(each.name, share))
     most = max((row.gain for row in scored), default=0.0)
 
     def carried_on(row: Scored) -> Scored:
@@ -192,7 +197,9 @@ def _round(
             return row
         return judge.score(row.name, investigation.converged(row.found), decision.cost, decision.noise)
 
-    return judge.ranked(investigation.each(carried_on, scored), decision.cost)
+    ended = within(on_progress, FITTED, 1.0)
+    carried = investigation.each(carried_on, scored, lambda row, share: ended(row.name, share))
+    return judge.ranked(carried, decision.cost)
 
 
 def _shortlist(scores: Mapping[str, Score], lost: Collection[str]) -> list[str]:
@@ -225,13 +232,15 @@ def _hopeful(tried: Sequence[Screened], score: Score, stage: str) -> list[Screen
     return [*found, *foretold[:FIRST]]
 
 
-def _reviewed(judge: "Judge", decision: Decision) -> Decision:
+def _reviewed(judge: "Judge", decision: Decision, on_progress: OnProgress = lambda what, share: None) -> Decision:
     """Judge every effect again beside the others; the last one found is judged so already, unless others change."""
     found = decision.chosen
-    for name in found[:-1]:
+    for i, name in enumerate(found[:-1]):
+        on_progress(f"{name} again", 0.5 * i / len(found))
         decision = _judged_again(judge, decision, name)
     if decision.chosen != found:
-        for name in decision.chosen:
+        for i, name in enumerate(decision.chosen):
+            on_progress(f"{name} again", 0.5 + 0.5 * i / len(found))
             decision = _judged_again(judge, decision, name)
     return decision
 

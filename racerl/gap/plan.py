@@ -14,6 +14,7 @@ from racerl.data.load import load_given
 from racerl.data.log import Log
 from racerl.documents import write_json
 from racerl.errors import LogError
+from racerl.gap.checkpoint import Checkpoint
 from racerl.gap.diagnose import check, cut, excitations, investigate
 from racerl.gap.score import Score
 from racerl.gap.verdict import alike, hidden
@@ -44,11 +45,13 @@ def plan(
         raise LogError("the logs hold no stretch of driving long enough to compare; give longer ones")
     folder = RunFolder.start(out, "gap plan", settings, seed=settings["seed"], threads=settings["threads"])
     on_progress("refitting the vehicle", 0.1)
-    investigation = investigate(evidence, logs, vehicle, settings)
+    checkpoint = Checkpoint.of(folder.path, settings, evidence)
+    investigation = investigate(evidence, logs, vehicle, settings, checkpoint)
     on_progress("what the log could tell", 0.8)
     facts = {"logs": [log.facts() for log in logs], **telling(investigation.score(investigation.base))}
     write_json(folder.path / PLAN, facts)
     folder.finish()
+    Checkpoint.remove(folder.path)
     return facts
 
 

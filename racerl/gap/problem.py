@@ -10,9 +10,10 @@ spin, by its root: they do not decide alone. Levenberg–Marquardt on the normal
 """
 
 import copy
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,6 +86,12 @@ class StageProblem:
     def rollout(self) -> StageRollout:
         """Return the kernel's rollout."""
         return self.kernel.rollout
+
+    def told(self) -> list[Any]:
+        """Return all that a fit of these windows comes from, but for where it starts."""
+        table = {name: float(value) for name, value in values(self.vehicle).items()}
+        of_effects = [list(self.vehicle.effects), list(self.kernel.catalogue), self.rollout.names]
+        return [self.evidence.stage.name, self.evidence.early, self.names, self.sigma, table, of_effects]
 
     def columns(self) -> list[int]:
         """Return the kernel's unknowns that are needed: parameters, shifts, and initial states that are heard."""
@@ -268,21 +275,41 @@ def loss(cost: Array, usual: float) -> Array:
 
 @dataclass
 class Fit:
-    """Parameters and initial states found, per stage, with what they were found from."""
+    """Parameters found, and per stage initial states and cost by window, priors of θ apart."""
 
     theta: dict[str, float]
     initial: list[Array]
-    lines: list[Linear]
+    cost: list[Array]
     converged: bool
+    linearise: Callable[[], list[Linear]]  # a fit of a checkpoint is without: few are asked for it
+
+    @cached_property
+    def lines(self) -> list[Linear]:
+        """Every stage at the point found."""
+        return self.linearise()
 
     def reduced(self) -> list[tuple[Array, Array]]:
         """Return each stage's H and g (W, …) over θ, windows weighted, with initial states eliminated."""
         return [line.reduced(0.0) for line in self.lines]
 
-    @property
-    def cost(self) -> list[Array]:
-        """Cost per stage and window; priors of θ apart."""
-        return [line.cost for line in self.lines]
+    def parts(self) -> dict[str, NDArray[Any]]:
+        """Return the fit as arrays, without its derivatives."""
+        stages = range(len(self.cost))
+        return {
+            "theta": np.array(list(self.theta.values())),
+            "converged": np.array([self.converged]),
+            **{f"initial.{i}": self.initial[i] for i in stages},
+            **{f"cost.{i}": self.cost[i] for i in stages},
+        }
+
+    @classmethod
+    def of(
+        cls, parts: Mapping[str, NDArray[Any]], names: Sequence[str], linearise: Callable[[], list[Linear]]
+    ) -> "Fit":
+        """Return the fit of which these are the parts, θ in this order."""
+        initial, cost = ([parts[f"{what}.{i}"] for i in range(len(parts) // 2 - 1)] for what in ("initial", "cost"))
+        theta = dict(zip(names, parts["theta"].tolist(), strict=True))
+        return cls(theta, initial, cost, bool(parts["converged"][0]), linearise)
 
 
 class Problem:
@@ -297,6 +324,10 @@ class Problem:
         self.low = np.array([unknown.low for unknown in self.unknowns])
         self.high = np.array([unknown.high for unknown in self.unknowns])
         self.mean = np.array([unknown.start for unknown in self.unknowns])
+
+    def told(self) -> list[Any]:
+        """Return all that a fit comes from, but for where it starts."""
+        return [[stage.told() for stage in self.stages], [list(vars(unknown).values()) for unknown in self.unknowns]]
 
     def fit(
         self,
@@ -404,11 +435,12 @@ class Problem:
 
     def _result(self, work: Sequence["_Work"], vector: Array, lines: list[Linear], converged: bool) -> Fit:
         theta = self._named(vector)
-        return Fit(theta, [stage.initial + stage.drift(theta)[0] for stage in work], lines, converged)
+        initial = [stage.initial + stage.drift(theta)[0] for stage in work]
+        return Fit(theta, initial, [line.cost for line in lines], converged, lambda: lines)
 
     def held_out(self, fit: Fit, folds: Sequence[Sequence[NDArray[np.bool_]]]) -> list[Array]:
         """Return the cost of every window (W,) per stage, under parameters that were found without its fold."""
-        cost = [np.zeros_like(line.cost) for line in fit.lines]
+        cost = [np.zeros_like(part) for part in fit.cost]
         for i, mask, work in self._held(fit, folds):
             cost[i][mask] = work.settled()
         return cost

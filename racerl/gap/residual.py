@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from racerl.gap.investigation import Found, Investigation, with_effect
-from racerl.gap.name import WORTH, Judge, Scored, excess
+from racerl.gap.name import WORTH, Judge, OnProgress, Scored, excess
 from racerl.vehicle.effects import Effect
 from racerl.vehicle.effects._fading import Fading
 from racerl.vehicle.effects.learned_network import LearnedNetwork
@@ -36,16 +36,20 @@ def limits(investigation: Investigation) -> dict[str, float]:
     return seen
 
 
-def learn(investigation: Investigation, seed: int) -> tuple[dict[str, Any], Found]:
+def learn(
+    investigation: Investigation, seed: int, on_progress: OnProgress = lambda what, share: None
+) -> tuple[dict[str, Any], Found]:
     """Fit terms, then a network, to what the refitted vehicle leaves; return what they explain, and the fit."""
     seen, base = limits(investigation), investigation.base
     terms, network = LearnedResidual(**seen), LearnedNetwork(**seen)
+    on_progress("learning a residual: terms", 0.0)
     knowing = investigation.knowing({TERMS: [terms]})
     judge = Judge(knowing, seed, knowing.held_out(base))
     knowing, found = sparse(knowing, _with(knowing, base, TERMS, terms))
     scored = replace(judge, investigation=knowing).score(TERMS, found, judge.first, knowing.floor)
     steps = [_step(judge, scored, found, scored.clear)]
     if scored.clear:
+        on_progress("learning a residual: a network", 0.5)
         knowing = knowing.knowing({TERMS: [terms], NETWORK: [network]})
         more = _with(knowing, found, NETWORK, network)
         scored = replace(judge, investigation=knowing).score(

@@ -15,6 +15,7 @@ import math
 import os
 import platform
 import shutil
+import signal
 import subprocess
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
@@ -160,7 +161,8 @@ def _find_compiler() -> str | None:
 def build(code: str, effort: Sequence[str] = THOROUGH) -> ctypes.CDLL | None:
     """Compile the source, or take it from the cache; None (and a line in the log) when that is not possible.
 
-    `QUICK` takes less than half of the time; loops have to be written out for it, and vectorised by pragma.
+    `QUICK` takes less than half of the time; loops have to be written out for it, and vectorised by pragma. Raises
+    KeyboardInterrupt where the user interrupts the compiler, in whichever thread that is.
     """
     compiler = _find_compiler()
     if compiler is None:
@@ -174,6 +176,8 @@ def build(code: str, effort: Sequence[str] = THOROUGH) -> ctypes.CDLL | None:
             _compile([compiler, *effort, *FLAGS], code, library)
         return ctypes.CDLL(str(library))
     except (OSError, subprocess.SubprocessError) as error:
+        if isinstance(error, subprocess.CalledProcessError) and error.returncode == -signal.SIGINT:
+            raise KeyboardInterrupt from error
         log.warning("the kernel could not be compiled (%s); computing on torch, several times slower", error)
         return None
 

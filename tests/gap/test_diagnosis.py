@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from racerl.config import compose_settings
-from racerl.documents import read_json, write_json
+from racerl.documents import read_json
 from racerl.errors import ConfigError, LogError, RunError
 from racerl.gap.diagnose import gap, next_manoeuvre
 from racerl.gap.evidence import Evidence, contradictory
@@ -118,17 +118,6 @@ def test_the_page_shows_verdict_and_pictures(diagnosis):
     assert "yaw_damping" in page and page.count("</figure>") in (2, 3)
     with pytest.raises(RunError, match="choose another out="):
         gap(diagnosis.settings, diagnosis.out)
-
-
-@needs_compiler
-def test_an_interrupted_run_goes_on_with_the_steps_that_are_there(diagnosis, tmp_path):
-    shutil.copytree(diagnosis.out, tmp_path / "out")
-    manifest = read_json(tmp_path / "out" / "manifest.json")
-    write_json(tmp_path / "out" / "manifest.json", {**manifest, "status": "running"})
-    (tmp_path / "out" / "verdict.json").unlink()
-    kept = (tmp_path / "out" / "locate.json").stat().st_mtime_ns
-    again = gap(diagnosis.settings, tmp_path / "out")
-    assert again == diagnosis.facts and (tmp_path / "out" / "locate.json").stat().st_mtime_ns == kept
 
 
 def _learned(car, log):
