@@ -402,13 +402,17 @@ def _identify(words: Sequence[str], settings: "Settings", out: Path) -> None:
         facts = identify(settings, out, bar.show)
     _print_identification(console, facts)
     page = draw_identification(out)
-    places = {"LOG": _words_of(words, "logs data vehicle"), "VEHICLE": _words_of(words, "vehicle")}
-    places["MODEL"] = shlex.quote(str(out / MODEL))
-    following = re.sub("|".join(places), lambda place: places[place[0]], facts["verdict"]["next"])
     lines = [f"warning: {warning}" for warning in facts["warnings"]]
     written = f"vehicle in {out / MODEL}, report in {page}" if facts["fitted"] else f"report in {page}"
-    for line in [*lines, written, f"next: {following}".rstrip()]:
+    for line in [*lines, written, f"next: {_following(facts['verdict']['next'], words, out / MODEL)}"]:
         console.print(line, highlight=False, soft_wrap=True, markup=False)
+
+
+def _following(command: str, words: Sequence[str], model: Path) -> str:
+    """Return the next command with what it needs of a user's words for LOG and VEHICLE, and the file for MODEL."""
+    places = {"LOG": _words_of(words, "logs data vehicle"), "VEHICLE": _words_of(words, "vehicle")}
+    places["MODEL"] = shlex.quote(str(model))
+    return re.sub("|".join(places), lambda place: places[place[0]], command).rstrip()
 
 
 def _words_of(words: Sequence[str], keys: str) -> str:

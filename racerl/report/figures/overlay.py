@@ -30,7 +30,7 @@ def draw(table: pd.DataFrame, fitted: bool) -> str:
                 )
                 if fitted:
                     axis.plot(
-                        time, rollout["unfitted"], color=COLOURS[3], lw=1.0, ls="--", label="before" if first else None
+                        time, rollout["unfitted"], color=COLOURS[1], lw=1.0, ls="--", label="before" if first else None
                     )
                 name = "identified" if fitted else "simulated"
                 axis.plot(time, rollout["fitted"], color=COLOURS[0], lw=1.3, label=name if first else None)

@@ -19,7 +19,7 @@ def draw(residuals: Mapping[str, Mapping[str, Any]], fitted: bool) -> str:
         for axis, channel in zip(axes, channels, strict=True):
             shown = [("fitted", "identified" if fitted else "simulated", COLOURS[0])]
             if fitted:
-                shown.insert(0, ("unfitted", "before", COLOURS[3]))
+                shown.insert(0, ("unfitted", "before", COLOURS[1]))
             widest = 0.0
             for key, label, colour in shown:
                 edges, counts = (np.array(residuals[key][channel][name]) for name in ("edges", "counts"))

@@ -24,7 +24,7 @@ def draw(curves: pd.DataFrame, covered: Mapping[str, Sequence[float]], fitted: b
                 curve = curves[(curves["axle"] == axle) & (curves["direction"] == direction)]
                 if fitted:
                     axis.fill_between(curve["slip"], curve["low"], curve["high"], color=COLOURS[0], alpha=0.3, lw=0)
-                    axis.plot(curve["slip"], curve["start"], color=COLOURS[3], lw=1.0, ls="--", label="before")
+                    axis.plot(curve["slip"], curve["start"], color=COLOURS[1], lw=1.0, ls="--", label="before")
                 axis.plot(
                     curve["slip"],
                     curve["value"],
