@@ -409,17 +409,14 @@ def _identify(words: Sequence[str], settings: "Settings", out: Path) -> None:
 
 
 def _following(command: str, words: Sequence[str], model: Path) -> str:
-    """Return the next command with what it needs of a user's words for LOG and VEHICLE, and the file for MODEL."""
-    places = {"LOG": _words_of(words, "logs data vehicle"), "VEHICLE": _words_of(words, "vehicle")}
-    places["MODEL"] = shlex.quote(str(model))
-    return re.sub("|".join(places), lambda place: places[place[0]], command).rstrip()
+    """Return the next command: LOG and VEHICLE are those of a user's words that it takes, MODEL is the file."""
+    from racerl.config import own_keys
 
-
-def _words_of(words: Sequence[str], keys: str) -> str:
-    """Return those of a user's words that set one of some keys, and the bare ones among them for `logs`."""
-    kept = set(keys.split())
+    kept = {"logs", "data", "vehicle", "step"} & own_keys(command.split()[1])
     roots = [re.split(r"[./=]", word.lstrip("+~"))[0] if "=" in word else "logs" for word in words]
-    return shlex.join(word for word, root in zip(words, roots, strict=True) if root in kept)
+    mine = shlex.join(word for word, root in zip(words, roots, strict=True) if root in kept)
+    places = {"LOG": mine, "VEHICLE": mine, "MODEL": shlex.quote(str(model))}
+    return re.sub("|".join(places), lambda place: places[place[0]], command).rstrip()
 
 
 def _gap(settings: "Settings", out: Path) -> None:

@@ -36,9 +36,10 @@ def judge(facts: Mapping[str, Any]) -> dict[str, Any]:
     diverged = [name for name, row in table.items() if row["after"] is None]
     poor = [name for name, row in table.items() if (row["after"] or 0.0) > (row["still"] or math.inf)]
     worse = [f"{name} × {row['factor']:.2f}" for name, row in table.items() if row["grew"]]
+    short = facts.get("held_out", "").removeprefix("nothing")
     # what is said first matters most
     reasons = (
-        (fitted and not facts["rmse"], f"no run was held out: {facts.get('held_out')}", IDENTIFY),
+        (fitted and not facts["rmse"], f"no run was held out{short}", "racerl gap plan LOG" if short else IDENTIFY),
         (diverged, f"rollouts of {', '.join(diverged)} diverge", GAP if fitted else IDENTIFY),
         (worse, f"errors in runs held out grew: {', '.join(worse)}", GAP),
         (fitted and not facts["method"]["converged"], "the fit has not converged", f"{IDENTIFY} method.iterations=300"),

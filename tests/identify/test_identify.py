@@ -243,12 +243,21 @@ def test_the_terminal_tells_the_verdict_first_and_one_row_per_channel(lacking):
 
 
 def test_the_next_command_has_the_users_words():
-    words = ["my drives/a.csv", "b.csv", "data=dart", "data.velocities=poses", "vehicle=jetracer", "starts=1"]
+    words = [
+        "my drives/a.csv",
+        "b.csv",
+        "data=dart",
+        "data.velocities=poses",
+        "vehicle=jetracer",
+        "starts=1",
+        "step=0.0025",
+    ]
     words += ["+vehicle/effect=yaw_damping", "vehicle.effects.yaw_damping.coefficient=0.1", "out=somewhere"]
     model = Path("outputs/identify/my car/model.yaml")
     car = "vehicle=jetracer +vehicle/effect=yaw_damping vehicle.effects.yaw_damping.coefficient=0.1"
     logs = "'my drives/a.csv' b.csv data=dart data.velocities=poses"
     assert _following("racerl gap LOG", words, model) == f"racerl gap {logs} {car}"
+    assert _following("racerl identify LOG", words, model).startswith(f"racerl identify {logs} vehicle=jetracer step=")
     assert _following("racerl train VEHICLE", words, model) == f"racerl train {car}"
     assert _following("racerl train vehicle=MODEL", words, model) == f"racerl train vehicle='{model}'"
 

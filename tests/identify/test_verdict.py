@@ -7,14 +7,14 @@ import pytest
 from racerl.identify.verdict import judge
 
 
-def facts_of(after, before=1.0, still=9.0, fitted=True, converged=True):
+def facts_of(after, before=1.0, still=9.0, fitted=True, converged=True, held_out="nothing"):
     """What a verdict is made of: errors of one channel at one horizon."""
 
     def errors(value):
         return None if value is ... else {"85": {"v_x": value, "yaw_rate": 1.0}}
 
     facts = {"fitted": fitted, "horizon": 85, "rmse": errors(after), "rmse_hold_last_state": errors(still)}
-    fit = {"rmse_unfitted": errors(before), "held_out": "nothing", "method": {"converged": converged}}
+    fit = {"rmse_unfitted": errors(before), "held_out": held_out, "method": {"converged": converged}}
     return facts | (fit if fitted else {})
 
 
@@ -24,6 +24,11 @@ def facts_of(after, before=1.0, still=9.0, fitted=True, converged=True):
         ({"after": 1.3}, "grew: v_x × 1.30", "racerl gap LOG"),
         ({"after": None}, "v_x diverge", "racerl gap LOG"),
         ({"after": ...}, "no run was held out", "racerl identify LOG"),
+        (
+            {"after": ..., "held_out": "nothing: the log is too short"},
+            "out: the log is too short",
+            "racerl gap plan LOG",
+        ),
         ({"after": 0.9, "converged": False}, "not converged", "racerl identify LOG method.iterations=300"),
         ({"after": 0.9, "still": 0.8}, "holding the first value errs less: v_x", "racerl gap LOG"),
         ({"after": 1.0, "still": 0.8, "fitted": False}, "errs less: v_x", "racerl identify LOG"),
