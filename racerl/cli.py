@@ -1,6 +1,8 @@
 """The command line: Typer in front, Hydra's grammar behind. Heavy modules load only when a command runs."""
 
 import logging
+import re
+import shlex
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -11,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from racerl import __version__, completion
-from racerl.choices import choices
+from racerl.choices import choices, own_keys
 from racerl.errors import ConfigError, RacerlError, RunError
 
 if TYPE_CHECKING:
@@ -171,7 +173,7 @@ def identify(arguments: Annotated[list[str] | None, _words("LOG... [KEY=VALUE]..
     Groups: data vehicle method. Writes model.yaml, which every command takes as vehicle=, identification.json and
     report.html. fit=false only scores the vehicle.
     """
-    _run("identify", arguments, _identify, positional="logs")
+    _run("identify", arguments, partial(_identify, arguments or []), positional="logs")
 
 
 @app.command(context_settings=HYDRA)
@@ -404,21 +406,29 @@ def _drive(settings: "Settings", out: Path) -> None:
     console.print("; ".join(lines), highlight=False, soft_wrap=True)
 
 
-def _identify(settings: "Settings", out: Path) -> None:
+def _identify(words: Sequence[str], settings: "Settings", out: Path) -> None:
     from racerl.console import Bar
     from racerl.identify.identify import MODEL, identify
     from racerl.report.identification_page import draw_identification
 
     console = _console()
     with _continued(console, out, "begins again"), Bar(console, "identify") as bar:
-        facts = identify(settings, out, lambda what, share: bar.show(share, what))
+        facts = identify(settings, out, bar.show)
     _print_identification(console, facts)
     page = draw_identification(out)
     lines = [f"warning: {warning}" for warning in facts["warnings"]]
-    if facts["fitted"]:
-        lines.append(f"vehicle in {out / MODEL}; drive it with: racerl train vehicle={out / MODEL}")
-    for line in [*lines, f"report in {page}"]:
+    written = f"vehicle in {out / MODEL}, report in {page}" if facts["fitted"] else f"report in {page}"
+    for line in [*lines, written, f"next: {_following(facts['verdict']['next'], words, out / MODEL)}"]:
         console.print(line, highlight=False, soft_wrap=True, markup=False)
+
+
+def _following(command: str, words: Sequence[str], model: Path) -> str:
+    """Return the next command: LOG and VEHICLE are those of a user's words that it takes, MODEL is the file."""
+    kept = {"logs", "data", "vehicle", "step"} & own_keys(command.split()[1])
+    roots = [re.split(r"[./=]", word.lstrip("+~"))[0] if "=" in word else "logs" for word in words]
+    mine = shlex.join(word for word, root in zip(words, roots, strict=True) if root in kept)
+    places = {"LOG": mine, "VEHICLE": mine, "MODEL": shlex.quote(str(model))}
+    return re.sub("|".join(places), lambda place: places[place[0]], command).rstrip()
 
 
 def _gap(settings: "Settings", out: Path) -> None:
@@ -575,14 +585,18 @@ def _optimum(settings: "Settings", out: Path) -> None:
 def _print_identification(console: Any, facts: dict[str, Any]) -> None:
     from rich.table import Table
 
-    from racerl.report.identification_page import error_rows, spread
+    from racerl.report.identification_page import UNITS, factor, headline, measure, spread
 
-    rows = [row for row in error_rows(facts) if row[1] == str(facts["horizon"])]
-    table = Table("vehicle", *rows[0][2], title=f"error of {facts['horizon']}-sample rollouts (RMSE; m/s, rad/s, rad)")
-    for label, _, channels in rows:
-        table.add_row(label, *("diverged" if value is None else f"{value:.4f}" for value in channels.values()))
+    console.print(headline(facts), highlight=False, soft_wrap=True, markup=False)
+    fitted, title = facts["fitted"], f"error of {facts['horizon']}-sample rollouts (RMSE)"
+    compared = ("before", "identified", "factor") if fitted else ("given vehicle",)
+    table = Table("channel", "unit", *compared, "first value held", title=title)
+    for name, row in facts["verdict"]["channels"].items():
+        errors = [measure(row[key]) for key in (("before", "after") if fitted else ("after",))]
+        factors = [f"[red]{factor(row)}[/red]" if row["grew"] else factor(row)] if fitted else []
+        table.add_row(name, UNITS[name], *errors, *factors, measure(row["still"]))
     console.print(table)
-    if not facts["fitted"]:
+    if not fitted:
         return
     table = Table("parameter", "value", "95 % interval", "unit", "before", "from the data alone")
     for name, p in facts["parameters"].items():

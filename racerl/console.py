@@ -7,29 +7,32 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.live import Live
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn
 from rich.table import Table
+from rich.text import Text
 
 if TYPE_CHECKING:
     from racerl.sweep.engine import Status
     from racerl.train.session import Progress as TrainProgress
 
 PLAIN_PERIOD = 10.0  # s between lines without a terminal
+SETTLING = 3.0  # s before which nothing is said of the time left
 
 
 class Bar:
-    """A progress bar with a changing remark; a line every 10 s when nobody watches."""
+    """A progress bar with a changing remark; a line every 10 s when nobody watches. It only goes forward."""
 
     def __init__(self, console: Console, title: str) -> None:
         self.console, self.title = console, title
+        self.left = Left()
+        self._share = 0.0
         self._printed = -PLAIN_PERIOD
         self._progress = Progress(
             TextColumn("{task.description}"),
             BarColumn(bar_width=24),
             TextColumn("{task.percentage:3.0f} %"),
             TextColumn("{task.fields[remark]}"),
-            TextColumn("left"),
-            TimeRemainingColumn(elapsed_when_finished=True),
+            _LeftColumn(self.left),
             console=console,
             disable=not console.is_terminal,
         )
@@ -45,12 +48,58 @@ class Bar:
         self._progress.stop()
 
     def show(self, share: float, remark: str, seconds_left: float | None = None) -> None:
-        """Update to a share in 0 … 1."""
-        self._progress.update(self._task, completed=share, remark=remark)
+        """Update to a share in 0 … 1; a smaller one than before leaves the bar where it is."""
+        self._share = max(self._share, share)
+        self.left.hear(self._share, seconds_left)
+        self._progress.update(self._task, completed=self._share, remark=remark)
         if not self.console.is_terminal and time.monotonic() - self._printed >= PLAIN_PERIOD:
             self._printed = time.monotonic()
-            left = f", {seconds_left:.0f} s left" if seconds_left is not None else ""
-            self.console.print(f"{self.title} {share:4.0%}  {remark}{left}", highlight=False, soft_wrap=True)
+            left = "" if (seconds := self.left.seconds()) is None else f", {clock(seconds)} left"
+            line = f"{self.title} {self._share:4.0%}  {remark}{left}"
+            self.console.print(line, highlight=False, soft_wrap=True)
+
+
+class Left:
+    """The time left, from the mean pace since the first share heard, which may stand for work of an earlier run."""
+
+    def __init__(self) -> None:
+        self._first: tuple[float, float] | None = None  # s, share
+        self._share = 0.0
+        self._told: float | None = None
+
+    def hear(self, share: float, told: float | None = None) -> None:
+        """Take in the share done, and the seconds left where the stage knows better."""
+        self._first = self._first or (time.monotonic(), share)
+        self._share, self._told = share, told
+
+    def seconds(self) -> float | None:
+        """Return the seconds left; None while nothing can be said."""
+        if self._told is not None or self._first is None:
+            return self._told
+        taken, done = time.monotonic() - self._first[0], self._share - self._first[1]
+        return None if taken < SETTLING or done <= 0 else taken * (1.0 - self._share) / done
+
+
+class _LeftColumn(ProgressColumn):
+    """The time left, or what it took in the end."""
+
+    def __init__(self, left: Left) -> None:
+        super().__init__()
+        self.left = left
+
+    def render(self, task: Task) -> Text:
+        """Return the column's text."""
+        if task.finished:
+            return Text(f"in {clock(task.finished_time or 0.0)}")
+        seconds = self.left.seconds()
+        return Text("" if seconds is None else f"{clock(seconds)} left")
+
+
+def clock(seconds: float) -> str:
+    """Return a duration as h:mm:ss or m:ss."""
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
 
 
 class Board:

@@ -1,13 +1,13 @@
 """The identify stage: fit a vehicle to logs, say how sure the values are, and score it on runs it has not seen.
 
 Writes `model.yaml` (the vehicle, fitted to all runs), `identification.json` (values, intervals, what is not separable,
-held-out errors), and `overlay.parquet` and `tyres.parquet`, which the report draws. With `fit=false` the vehicle is
-only scored: no `model.yaml`, and the errors are the given vehicle's.
+held-out errors, and the verdict: whether the car is usable, and why), and `overlay.parquet` and `tyres.parquet`, which
+the report draws. With `fit=false` the vehicle is only scored: no `model.yaml`, and the errors are the given vehicle's.
 """
 
 import re
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,11 +25,13 @@ from racerl.identify.document import write_model
 from racerl.identify.folds import deal
 from racerl.identify.score import ErrorSum
 from racerl.identify.scored import Scored
-from racerl.identify.task import Solution, Task, make_task, solve
+from racerl.identify.task import Solution, Task, make_task, plan, solve
 from racerl.identify.tyres import slips_covered, tyre_curves
-from racerl.identify.uncertainty import Uncertainty, describe, estimate
+from racerl.identify.uncertainty import Uncertainty, describe
 from racerl.identify.unknowns import choose_unknowns
+from racerl.identify.verdict import judge
 from racerl.identify.windows import INPUTS, choose_wiring
+from racerl.identify.work import Progress, Work
 from racerl.run import RunFolder
 from racerl.vehicle.load import load_vehicle
 from racerl.vehicle.parameter import replace_values, values
@@ -41,11 +43,9 @@ DRAWS = 200  # of the parameters, for the tyre curves' band
 STABLE = 2.5  # largest step × rate
 FAR = 3.0  # deviations of its prior, beyond which a value is worth a remark
 
-Progress = Callable[[str, float], None]
-
 
 def identify(
-    settings: Mapping[str, Any], out: Path, on_progress: Progress = lambda what, share: None
+    settings: Mapping[str, Any], out: Path, on_progress: Progress = lambda share, remark: None
 ) -> dict[str, Any]:
     """Identify the vehicle of `settings` from its logs; return what was written to identification.json.
 
@@ -85,14 +85,14 @@ def identify(
             "rmse_hold_last_state": scored.errors_of_holding(everything).rmse(),
         }
     else:
-        solution = solve(task, np.arange(task.cut.windows.count), settings, lambda share: on_progress("fit", share))
-        theta = solution.fit.point.theta
-        uncertainty = estimate(solution.fit, solution.objective, task.cut, solution.independent, settings["seed"])
-        draws = uncertainty.draws[:DRAWS]
-        facts |= _hold_out(task, scored, settings, lambda share: on_progress("held-out runs", share))
-        facts |= _result(task, solution, uncertainty)
-        facts["warnings"] = [*warnings, *_fit_warnings(facts)]
+        solution, held_out = _solve(task, scored, settings, on_progress)
+        uncertainty = solution.uncertainty(task, settings["seed"])
+        theta, draws = solution.fit.point.theta, uncertainty.draws[:DRAWS]
+        facts |= {**held_out, **_result(task, solution, uncertainty)}
+        facts["warnings"] += _fit_warnings(facts)
     facts["warnings"] += _stiffness_warnings(scored, theta)
+    facts["verdict"] = judge(facts)
+    facts["warnings"] = [*_growth_warnings(facts), *facts["warnings"]]
     facts["residuals"] = {"unfitted": scored.histogram(start), "fitted": scored.histogram(theta)}
     if task is not None:
         write_model(folder.path / MODEL, settings["vehicle"], dict(zip(rollout.names, theta, strict=True)), facts)
@@ -127,16 +127,17 @@ def check(settings: Mapping[str, Any]) -> None:
 def _result(task: Task, solution: Solution, uncertainty: Uncertainty) -> dict[str, Any]:
     """Return what the fit says of the parameters."""
     fit, at = solution.fit, solution.fit.linearised
-    parameters, pairs = describe(fit, solution.objective, uncertainty)
+    parameters, pairs = describe(task.unknowns, fit.point.theta, uncertainty)
     return {
         "parameters": parameters,
         "not_separable": pairs,
         "at_bound": [name for name, facts in parameters.items() if facts["at_bound"]],
         "far_from_prior": [name for name, facts in parameters.items() if abs(facts["from_prior"]) > FAR],
+        "actuators_alone": [name for part in solution.actuators for name in part.values],
         "fixed": {name: float(value) for name, value in values(task.rollout.vehicle).items() if name not in parameters},
         "method": {
             "name": _snake(type(task.method).__name__),
-            "converged": bool(fit.converged),
+            "converged": bool(solution.converged),
             "cost": at.cost,
             "data": at.data,
             "steps": fit.steps,
@@ -147,14 +148,24 @@ def _result(task: Task, solution: Solution, uncertainty: Uncertainty) -> dict[st
     }
 
 
+def _growth_warnings(facts: Mapping[str, Any]) -> list[str]:
+    """Return a line for each channel that the fit has made worse."""
+    return [
+        f"{name} errs {row['factor']:.2f} times as much as before in runs held out ({row['before']:.4f} → "
+        f"{row['after']:.4f} {CHANNELS[name].unit}): the model lacks something, or the log is too short"
+        for name, row in facts["verdict"]["channels"].items()
+        if row["grew"]
+    ]
+
+
 def _fit_warnings(facts: Mapping[str, Any]) -> list[str]:
     """Return what a user should know before trusting the values."""
     warnings = []
     for name in facts["far_from_prior"]:
         p = facts["parameters"][name]
         warnings.append(
-            f"{name} went from {p['start']:.4g} to {p['value']:.4g} {p['unit']}, {abs(p['from_prior']):.0f} deviations "
-            "of its prior: it may stand in for an effect that the model lacks"
+            f"{name} went from {p['start']:.4g} to {p['value']:.4g}{' ' * bool(p['unit'])}{p['unit']}, "
+            f"{abs(p['from_prior']):.0f} deviations of its prior: it may stand in for an effect that the model lacks"
         )
     if facts["at_bound"]:
         warnings.append(f"at a physical bound: {', '.join(facts['at_bound'])}")
@@ -193,44 +204,40 @@ def _stiffness_warnings(scored: Scored, theta: Array) -> list[str]:
     return [f"the car is too stiff for steps of {h:g} s at its slowest in this log; give step={stable:.2g}"]
 
 
-def _hold_out(
-    task: Task, scored: Scored, settings: Mapping[str, Any], on_share: Callable[[float], None]
-) -> dict[str, Any]:
-    """Return the errors in runs that the fit has not seen, each held out once, beside those of the vehicle given.
+def _parts(task: Task, scored: Scored, count: int) -> tuple[list[tuple[NDArray[np.int64], NDArray[np.int64]]], str]:
+    """Return the windows that each fold fits and is judged by, and a line that says how they were held out."""
+    if not count:
+        return [], "nothing"
+    folds, how = deal(scored.cut, count)
+    parts = [(np.flatnonzero(fold.seen(task.cut)), np.flatnonzero(fold.unseen(scored.cut))) for fold in folds]
+    parts = [(seen, unseen) for seen, unseen in parts if len(seen) and len(unseen)]
+    if not parts:
+        return [], f"nothing: the log is too short to be parted in folds={count}"
+    return parts, f"{how}; {len(parts)} counted" if len(parts) < len(folds) else how
+
+
+def _solve(
+    task: Task, scored: Scored, settings: Mapping[str, Any], on_progress: Progress
+) -> tuple[Solution, dict[str, Any]]:
+    """Return the fit to all runs, and the errors in runs held out of one each, beside those of the vehicle given.
 
     The fits of the folds start from the vehicle given only.
     """
-    everything = np.arange(scored.cut.windows.count)
-    nothing = {
-        "rmse": None,
-        "rmse_unfitted": scored.errors(task.unknowns.start, everything).rmse(),
-        "rmse_hold_last_state": scored.errors_of_holding(everything).rmse(),
-        "held_out": "nothing",
-    }
-    if not settings["folds"]:
-        return nothing
-    folds, how = deal(scored.cut, settings["folds"])
+    parts, how = _parts(task, scored, settings["folds"])
+    windows, starts, seed = np.arange(task.cut.windows.count), settings["starts"], settings["seed"]
+    fits = [*plan(len(windows), starts), *(fit for seen, _ in parts for fit in plan(len(seen), 1))]
+    work = Work(fits, on_progress)
+    solution = solve(task, windows, seed, starts, work)
     total = ErrorSum(scored.rollout.observed, scored.horizons)
-    judged: list[NDArray[np.int64]] = []
-    for number, fold in enumerate(folds):
-        seen, unseen = np.flatnonzero(fold.seen(task.cut)), np.flatnonzero(fold.unseen(scored.cut))
-        if not len(seen) or not len(unseen):
-            continue
-
-        def on_fold(share: float, number: int = number) -> None:
-            on_share((number + share) / len(folds))
-
-        fitted = solve(task, seen, {**settings, "starts": 1}, on_fold)
-        total.add(scored.rollout_errors(fitted.fit.point.theta, unseen))
-        judged.append(unseen)
-    if not judged:
-        return {**nothing, "held_out": f"nothing: the log is too short to be parted in folds={settings['folds']}"}
-    index = np.concatenate(judged)
-    return {
-        "rmse": total.rmse(),
+    for seen, unseen in parts:
+        total.add(scored.rollout_errors(solve(task, seen, seed, 1, work).fit.point.theta, unseen))
+    everything = [np.arange(scored.cut.windows.count)]
+    index = np.concatenate([unseen for _, unseen in parts] or everything)
+    return solution, {
+        "rmse": total.rmse() if parts else None,
         "rmse_unfitted": scored.errors(task.unknowns.start, index).rmse(),
         "rmse_hold_last_state": scored.errors_of_holding(index).rmse(),
-        "held_out": f"{how}; {len(judged)} counted" if len(judged) < len(folds) else how,
+        "held_out": how,
     }
 
 

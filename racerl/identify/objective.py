@@ -78,6 +78,13 @@ class Objective:
         """Return the penalty λ Σ ((θ − θ_0)/σ)²."""
         return float(self.penalty * (((theta - self.unknowns.start) / self.unknowns.sigma) ** 2).sum())
 
+    def cost(self, point: Point) -> float:
+        """Return F at a point, without gradients and several times faster; infinity for an unstable rollout."""
+        windows = replace(self.windows, initial=point.initial)
+        with np.errstate(all="ignore"):
+            data = float(self.rollout.squares(point.theta, windows, self.threads).sum())
+        return data + self.prior(point.theta) if np.isfinite(data) else np.inf
+
     def linearise(self, point: Point) -> Linearised:
         """Return cost, gradients and the Gauss–Newton matrices at a point; an unstable rollout costs infinity."""
         windows = replace(self.windows, initial=point.initial)

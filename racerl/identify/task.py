@@ -1,7 +1,11 @@
-"""What a fit is made of, and how it is carried out: several starts, then the prior's strength set by what is left."""
+"""What a fit is made of, and how it is carried out: several starts, then the prior's strength set by what is left.
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+An actuator that was logged with its command answers to nothing else. It is fitted first, from its command to its
+measured state, and held when the car is fitted, so that what the car's model lacks cannot move it.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,9 +17,12 @@ from racerl.errors import ConfigError, suggest
 from racerl.identify import methods as methods_package
 from racerl.identify.methods import Fit, Method
 from racerl.identify.objective import Objective, independent_residuals
+from racerl.identify.uncertainty import Uncertainty, estimate
 from racerl.identify.unknowns import Unknowns
 from racerl.identify.windows import Cut, Wiring, channel_scale, cut
-from racerl.vehicle.rollout import Rollout
+from racerl.identify.work import Work
+from racerl.vehicle.rollout import Equations, Rollout
+from racerl.vehicle.vehicle import STATE, Vehicle
 
 Array = NDArray[np.float64]
 ROUNDS = 2  # fits between which the prior's strength is set by the residuals that are left
@@ -25,7 +32,10 @@ START_SPREAD = 0.7  # of the priors' deviations, of the further starts
 
 @dataclass(frozen=True)
 class Task:
-    """What a fit is made of: the rollout, its unknowns, the windows and how their errors count."""
+    """What a fit is made of: the rollout, its unknowns, the windows and how their errors count.
+
+    `actuators` are fitted first, in the same windows; what they settle of the unknowns is held.
+    """
 
     rollout: Rollout
     unknowns: Unknowns
@@ -35,6 +45,7 @@ class Task:
     overlap: float
     method: Method
     threads: int
+    actuators: tuple["Task", ...] = ()
 
     def objective(self, index: NDArray[np.int64], independent: float, data: float) -> Objective:
         """Return F over some windows, with the prior as strong as `independent` residuals of mean square `data` ask."""
@@ -45,11 +56,30 @@ class Task:
 
 @dataclass(frozen=True)
 class Solution:
-    """A fit with its objective, and how many independent residuals it was made from."""
+    """A fit with its objective, how many independent residuals it was made from, and those of the actuators."""
 
     fit: Fit
     objective: Objective
     independent: float
+    actuators: tuple["Solution", ...] = ()
+
+    @property
+    def converged(self) -> bool:
+        """Whether all fits have."""
+        return self.fit.converged and all(part.converged for part in self.actuators)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The parameters found, by name."""
+        return dict(zip(self.objective.unknowns.names, self.fit.point.theta.tolist(), strict=True))
+
+    def uncertainty(self, task: Task, seed: int) -> Uncertainty:
+        """Return what the windows of the task that was solved say about each parameter."""
+        earlier = [
+            part.uncertainty(alone, seed + number)
+            for number, (part, alone) in enumerate(zip(self.actuators, task.actuators, strict=True), 1)
+        ]
+        return estimate(self.fit, self.objective, task.cut, self.independent, seed, earlier)
 
 
 def make_task(
@@ -58,7 +88,7 @@ def make_task(
     """Cut the logs and choose scale, weights and method; raise LogError or ConfigError where that fails."""
     length = settings["window"]
     stride = max(sum(len(log.table) for log in logs) // MOST_WINDOWS, 1, length // 5)
-    return Task(
+    whole = Task(
         rollout,
         unknowns,
         cut(logs, wiring, rollout.vehicle, length, stride, settings["slowest"]),
@@ -68,6 +98,29 @@ def make_task(
         registry.create(methods_package, settings["method"]),
         settings["threads"],
     )
+    return replace(whole, actuators=tuple(_actuators(whole)))
+
+
+def _actuators(whole: Task) -> Iterator[Task]:
+    """Yield a fit of each actuator that was measured beside its command and that nothing but the command moves."""
+    vehicle, observed = whole.rollout.vehicle, whole.rollout.observed
+    for channel, state in enumerate(observed):
+        if whole.weight[channel] and (names := own_parameters(vehicle, whole.unknowns.names, state)):
+            seen = slice(channel, channel + 1)
+            yield replace(
+                whole,
+                rollout=Rollout(vehicle, names, (state,), whole.rollout.step),
+                unknowns=whole.unknowns.only(names),
+                cut=whole.cut.observing(seen),
+                scale=whole.scale[seen],
+                weight=whole.weight[seen],
+            )
+
+
+def own_parameters(vehicle: Vehicle, names: Sequence[str], state: str) -> list[str]:
+    """Return those of `names` that a measured state answers to; none where other states of the car move it, too."""
+    alone = Equations(vehicle, names, (state,))
+    return [] if set(alone.active) & (set(STATE) - {state}) else alone.effective()
 
 
 def _weights(given: Mapping[str, Any], wiring: Wiring) -> Array:
@@ -82,33 +135,39 @@ def _weights(given: Mapping[str, Any], wiring: Wiring) -> Array:
     return weights
 
 
-def solve(
-    task: Task, index: NDArray[np.int64], settings: Mapping[str, Any], on_share: Callable[[float], None]
-) -> Solution:
-    """Fit from several starts, then once more with the prior's strength set by what is left."""
-    generator = np.random.default_rng(settings["seed"])
-    starts = [task.unknowns.start]
-    starts += [task.unknowns.draw(generator, START_SPREAD) for _ in range(settings["starts"] - 1)]
-    total, done = len(starts) + ROUNDS, 0
+def plan(windows: int, starts: int) -> list[tuple[int, int]]:
+    """Return (place, windows) of the fits that `solve` carries out, as `Work` counts them."""
+    return [(0, windows)] * starts + [(number, windows) for number in range(1, ROUNDS + 1)]
 
-    def on_step(iteration: int, cost: float) -> None:
-        on_share(min(0.99, (done + 1 - 0.9**iteration) / total))
+
+def solve(task: Task, index: NDArray[np.int64], seed: int, starts: int, work: Work) -> Solution:
+    """Fit from several starts, then once more with the prior's strength set by what is left; actuators first."""
+    actuators = tuple(solve(alone, index, seed, 1, Work([])) for alone in task.actuators)
+    known = {name: value for part in actuators for name, value in part.values.items()}
+    task = replace(task, unknowns=task.unknowns.settled(known))
+    return replace(_solve(task, index, seed, starts, work), actuators=actuators)
+
+
+def _solve(task: Task, index: NDArray[np.int64], seed: int, count: int, work: Work) -> Solution:
+    generator = np.random.default_rng(seed)
+    starts = [task.unknowns.clip(task.unknowns.start)]
+    starts += [task.unknowns.draw(generator, START_SPREAD) for _ in range(count - 1)]
 
     # at first one independent residual for each window and channel is assumed
     channels = int((task.weight > 0).sum())
     objective = task.objective(index, len(index) * channels, 0.0)
-    first = objective.linearise(objective.start(task.unknowns.start))
+    first = objective.linearise(objective.start(starts[0]))
     objective = task.objective(index, len(index) * channels, first.data)
     best: Fit | None = None
     for theta in starts:
-        fit = task.method.fit(objective, objective.start(theta), on_step)
+        fit = task.method.fit(objective, objective.start(theta), work.step)
+        work.finish()
         if best is None or fit.linearised.cost < best.linearised.cost:
             best = fit
-        done += 1
     assert best is not None  # noqa: S101
     for _ in range(ROUNDS):
         independent = independent_residuals(objective.residuals(best.point)[:, task.weight > 0]) / task.overlap
         objective = task.objective(index, independent, best.linearised.data)
-        best = task.method.fit(objective, best.point, on_step)
-        done += 1
+        best = task.method.fit(objective, best.point, work.step)
+        work.finish()
     return Solution(best, objective, independent)

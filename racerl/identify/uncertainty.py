@@ -4,16 +4,23 @@ Each block (a run, or a stretch of one when runs are few) contributes its own gr
 resample of the blocks, and of the priors' means, moves the optimum by one Gauss–Newton step. With fewer than a handful
 of blocks the curvature alone sets the width. Separability is judged from the data without the priors: by the width of
 the interval and by the correlations of the estimates.
+
+What was settled by an earlier fit, to channels of its own, moves by that fit's draws, and the others follow it:
+
+    Δθ = Δθ|settled + G Δsettled,   G = −H⁻¹ H_settled.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from racerl.identify.methods import Fit
 from racerl.identify.objective import Objective
+from racerl.identify.unknowns import Unknowns
 from racerl.identify.windows import Cut
 
 Array = NDArray[np.float64]
@@ -27,37 +34,71 @@ IDENTIFIED = 0.05  # largest half-width of the 95 % interval, relative to the va
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Bootstrap draws (K, P), the data's own 95 % half-widths (P,) and correlations (P, P)."""
+    """Names of parameters, bootstrap draws of them (K, P), and the covariance (P, P) that the data alone leave."""
 
+    names: tuple[str, ...]
     draws: Array
-    half_width: Array
-    correlation: Array
+    covariance: Array
+
+    @property
+    def deviation(self) -> Array:
+        """Standard deviations from the data alone, (P,)."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))
+
+    @property
+    def half_width(self) -> Array:
+        """95 % half-widths from the data alone, (P,)."""
+        return 1.96 * self.deviation
+
+    @property
+    def correlation(self) -> Array:
+        """Correlations from the data alone, (P, P)."""
+        return self.covariance / np.outer(self.deviation, self.deviation)
 
 
-def estimate(fit: Fit, objective: Objective, cut: Cut, independent: float, seed: int) -> Uncertainty:
-    """Return the uncertainty of a fit to the windows of a cut, which are worth so many independent residuals."""
+def estimate(
+    fit: Fit, objective: Objective, cut: Cut, independent: float, seed: int, earlier: Sequence[Uncertainty] = ()
+) -> Uncertainty:
+    """Return the uncertainty of a fit to the windows of a cut, which are worth so many independent residuals.
+
+    Parameters that `earlier` names were settled by other fits and held in this one.
+    """
     unknowns, at = objective.unknowns, fit.linearised
+    scale, theta = unknowns.sigma, fit.point.theta
     H, g = at.reduced()
-    scale = unknowns.sigma
     H, g = H * np.outer(scale, scale), g * scale
+    settled = np.array([unknowns.names.index(name) for part in earlier for name in part.names], dtype=np.intp)
+    free = np.setdiff1d(np.arange(len(scale)), settled)
+    H_free, H_settled = (H.sum(axis=0)[np.ix_(free, other)] for other in (free, settled))
+    H_prior = H_free + objective.penalty * np.eye(len(free))
     noise = at.data / independent
-    covariance = noise * _inverse(H.sum(axis=0))
-    deviation = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
 
     generator = np.random.default_rng(seed)
     block = _blocks(cut)
-    H_b, g_b = _sum_by(H, block), _sum_by(g, block)
-    distance = (fit.point.theta - unknowns.start) / scale
-    steps = (
-        _resample(H_b, g_b, objective.penalty, distance, generator)
+    H_b, g_b = _sum_by(H[:, free][:, :, free], block), _sum_by(g[:, free], block)
+    own = (
+        _resample(H_b, g_b, objective.penalty, ((theta - unknowns.start) / scale)[free], generator)
         if len(H_b) >= FEWEST_BLOCKS
-        else _normal(noise * _inverse(H.sum(axis=0) + objective.penalty * np.eye(len(scale))), generator)
+        else _normal(noise * _inverse(H_prior), generator)
     )
-    return Uncertainty(
-        unknowns.clip(fit.point.theta + steps * scale),
-        1.96 * deviation * scale,
-        covariance / np.outer(deviation, deviation),
-    )
+    moves, covariance = _settled(earlier, theta[settled])
+    moves, covariance = moves / scale[settled], covariance / np.outer(scale[settled], scale[settled])
+    order = np.argsort([*free, *settled])
+    steps = np.hstack([own - moves @ H_settled.T @ _inverse(H_prior), moves])[:, order]
+    draws = theta + steps * scale
+    draws[:, free] = unknowns.clip(draws)[:, free]
+    gain = -_inverse(H_free) @ H_settled
+    follow = gain @ covariance
+    joint = np.block([[noise * _inverse(H_free) + follow @ gain.T, follow], [follow.T, covariance]])
+    return Uncertainty(unknowns.names, draws, joint[np.ix_(order, order)] * np.outer(scale, scale))
+
+
+def _settled(earlier: Sequence[Uncertainty], theta: Array) -> tuple[Array, Array]:
+    """Return how far the draws of earlier fits are from their values (K, Q), and their covariance (Q, Q)."""
+    if not earlier:
+        return np.empty((RESAMPLES, 0)), np.empty((0, 0))
+    draws = np.concatenate([part.draws for part in earlier], axis=1)
+    return draws - theta, block_diag(*(part.covariance for part in earlier))
 
 
 def _resample(H: Array, g: Array, penalty: float, distance: Array, generator: np.random.Generator) -> Array:
@@ -79,7 +120,7 @@ def _normal(covariance: Array, generator: np.random.Generator) -> Array:
 def _inverse(matrix: Array) -> Array:
     """Return the inverse of a symmetric positive matrix of any scaling; what it does not determine comes out large."""
     diagonal = np.diag(matrix)
-    scale = 1.0 / np.sqrt(np.maximum(diagonal, max(1e-20 * diagonal.max(), 1e-300)))
+    scale = 1.0 / np.sqrt(np.maximum(diagonal, max(1e-20 * diagonal.max(initial=0.0), 1e-300)))
     inverse = np.linalg.inv(matrix * np.outer(scale, scale) + 1e-13 * np.eye(len(matrix)))
     rescaled: Array = inverse * np.outer(scale, scale)
     return rescaled
@@ -102,14 +143,13 @@ def _sum_by(values: Array, block: NDArray[np.int64]) -> Array:
     return total
 
 
-def describe(fit: Fit, objective: Objective, uncertainty: Uncertainty) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+def describe(unknowns: Unknowns, theta: Array, uncertainty: Uncertainty) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """Return {name: facts} of every free parameter, and the pairs that are not separable."""
-    unknowns = objective.unknowns
     pairs = _inseparable(unknowns.names, uncertainty.correlation)
     interval = np.percentile(uncertainty.draws, [2.5, 97.5], axis=0).T
     table = {}
     for i, name in enumerate(unknowns.names):
-        value = float(fit.point.theta[i])
+        value = float(theta[i])
         half_width = float(uncertainty.half_width[i])
         with_others = [p["parameters"][1 - p["parameters"].index(name)] for p in pairs if name in p["parameters"]]
         bound = "low" if value <= unknowns.low[i] else "high" if value >= unknowns.high[i] else None

@@ -3,7 +3,7 @@
 import fnmatch
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,19 @@ class Unknowns:
     def clip(self, theta: Array) -> Array:
         """Return the nearest values inside the bounds."""
         return np.clip(theta, self.low, self.high)
+
+    def only(self, names: Sequence[str]) -> "Unknowns":
+        """Return those of these names."""
+        index = [self.names.index(name) for name in names]
+        arrays = (self.start[index], self.sigma[index], self.low[index], self.high[index])
+        return Unknowns(tuple(names), *arrays, tuple(self.specifications[i] for i in index))
+
+    def settled(self, known: Mapping[str, float]) -> "Unknowns":
+        """Return the unknowns with some values settled: no fit moves them."""
+        low, high = self.low.copy(), self.high.copy()
+        for name, value in known.items():
+            low[self.names.index(name)] = high[self.names.index(name)] = value
+        return replace(self, low=low, high=high)
 
     def draw(self, generator: np.random.Generator, spread: float) -> Array:
         """Return a start drawn around the prior's mean, `spread` deviations wide."""

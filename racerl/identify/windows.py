@@ -5,7 +5,7 @@ the sample that follows it, which makes a measured input half a sample late: err
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +44,13 @@ class Cut:
     def take(self, index: NDArray[np.int64]) -> "Cut":
         """Return some of the windows."""
         return Cut(self.windows.take(index), self.run[index], self.start[index])
+
+    def observing(self, channels: slice) -> "Cut":
+        """Return the windows with some of the observed channels alone."""
+        measured, weight = (
+            np.ascontiguousarray(part) for part in (self.windows.measured[:, channels], self.windows.weight[channels])
+        )
+        return replace(self, windows=replace(self.windows, measured=measured, weight=weight))
 
 
 def choose_wiring(logs: Sequence[Log], inputs: str = "auto") -> Wiring:

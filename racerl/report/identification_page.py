@@ -8,6 +8,7 @@ import jinja2
 import pandas as pd
 import pyarrow as pa
 
+from racerl.data.log import CHANNELS
 from racerl.documents import read_json
 from racerl.errors import DocumentError, RunError
 from racerl.identify.identify import OVERLAY, RESULT, TYRES
@@ -15,11 +16,7 @@ from racerl.report.figures import overlay, residuals, tyre_curves
 from racerl.report.page import figure, provenance, write_page
 from racerl.run import RunFolder
 
-ERRORS = (
-    ("rmse", "identified, in runs held out", "given vehicle"),
-    ("rmse_unfitted", "before", ""),
-    ("rmse_hold_last_state", "first state held", "first state held"),
-)
+UNITS = {name: channel.unit for name, channel in CHANNELS.items()}
 
 
 def draw_identification(run: Path) -> Path:
@@ -33,7 +30,11 @@ def draw_identification(run: Path) -> Path:
             folder.path,
             "identification_page.html.j2",
             facts=facts,
-            errors=error_rows(facts),
+            headline=headline(facts),
+            horizons=_horizons(facts),
+            units=UNITS,
+            measure=measure,
+            factor=factor,
             spread=spread,
             figures=figures,
             provenance=provenance(folder.manifest),
@@ -42,14 +43,20 @@ def draw_identification(run: Path) -> Path:
         raise RunError(f"{run}: is damaged ({' '.join(str(error).split())}); identify again") from error
 
 
-def error_rows(facts: dict[str, Any]) -> list[tuple[str, str, dict[str, float | None]]]:
-    """Return (vehicle, horizon, RMSE by channel) for what was scored."""
-    rows = []
-    for key, fitted, scored in ERRORS:
-        if facts.get(key):
-            label = fitted if facts["fitted"] else scored
-            rows += [(label, horizon, channels) for horizon, channels in facts[key].items()]
-    return rows
+def headline(facts: Mapping[str, Any]) -> str:
+    """Return the verdict in one line."""
+    verdict = facts["verdict"]
+    return f"usable: {'yes' if verdict['usable'] else 'no'}, because {verdict['because']}"
+
+
+def measure(error: float | None) -> str:
+    """Return an error as a table shows it."""
+    return "not known" if error is None else f"{error:.4f}"
+
+
+def factor(row: Mapping[str, Any]) -> str:
+    """Return the factor by which a channel's error changed."""
+    return "–" if row["factor"] is None else f"× {row['factor']:.2f}"
 
 
 def spread(parameter: Mapping[str, Any]) -> str:
@@ -58,6 +65,15 @@ def spread(parameter: Mapping[str, Any]) -> str:
         return "at its bound"
     share = parameter["data_half_width"] / max(abs(parameter["value"]), 1e-12)
     return f"± {share:.1%}" if share < 0.01 else f"± {share:.0%}" if share < 1.0 else "nothing"
+
+
+def _horizons(facts: Mapping[str, Any]) -> dict[str, list[tuple[str, str]]]:
+    """Return {channel: (samples ahead, before → after)} of the horizons that the page folds away."""
+    table = {}
+    for name in facts["rmse_hold_last_state"][str(facts["horizon"])]:
+        keys = [key for key in ("rmse_unfitted", "rmse") if facts.get(key)]
+        table[name] = [(h, " → ".join(measure(facts[key][h][name]) for key in keys)) for h in facts[keys[0]]]
+    return table
 
 
 def _drawn(facts: dict[str, Any], curves: pd.DataFrame, windows: pd.DataFrame) -> list[tuple[str, str, str, str]]:

@@ -1,10 +1,13 @@
-"""A short drive of a hidden car, recorded once."""
+"""Short drives of a hidden car and of one with an effect that the model lacks, recorded once."""
 
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from racerl.config import compose_settings
+from racerl.identify.identify import identify
 from racerl.record.record import record
 
 START = ["starts=1", "folds=2", "threads=1", "vehicle=published"]
@@ -23,3 +26,32 @@ def hidden(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def settings_for(log: Path, *words: str) -> dict:
     return compose_settings("identify", [f"logs=['{log}']", *START, *words])
+
+
+DAMPED = ["vehicle=published", "+vehicle/effect=yaw_damping", "vehicle.effects.yaw_damping.coefficient=0.5"]
+FEW = "hold=['*.p_[CDE]*','*.r_*']"  # leaves eight parameters
+
+
+@pytest.fixture(scope="session")
+def damped(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The log of a minute's drive of the published car with a moment against its yaw rate; not to be changed."""
+    out = tmp_path_factory.mktemp("recorded") / "damped"
+    record(compose_settings("record", [*DAMPED, "seconds=60", "seed=1"]), out)
+    return out / "log.parquet"
+
+
+@dataclass(frozen=True)
+class Lacking:
+    """What identifying the damped car without its effect wrote, told and said of its progress."""
+
+    facts: dict[str, Any]
+    out: Path
+    shares: list[float]
+
+
+@pytest.fixture(scope="session")
+def lacking(damped: Path, tmp_path_factory: pytest.TempPathFactory) -> Lacking:
+    """An identification of a car whose model lacks an effect; tests must not change it."""
+    out, shares = tmp_path_factory.mktemp("identified") / "lacking", []
+    facts = identify(settings_for(damped, FEW), out, lambda share, remark: shares.append(share))
+    return Lacking(facts, out, shares)

@@ -1,6 +1,7 @@
 """The identify stage on a simulated car whose parameters nobody told, and on real logs where they are at hand."""
 
 import gzip
+import io
 import json
 import shutil
 from pathlib import Path
@@ -9,8 +10,9 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from rich.console import Console
 
-from racerl.cli import main
+from racerl.cli import _following, _print_identification, main
 from racerl.config import compose_settings
 from racerl.errors import ConfigError, LogError, RacerlError
 from racerl.identify.identify import identify
@@ -72,6 +74,18 @@ def test_the_page_and_the_model_can_be_used(identified, tmp_path):
     )
     train(settings, tmp_path / "trained")
     assert (tmp_path / "trained" / "policy.safetensors").is_file()
+
+
+def test_the_page_begins_with_the_verdict_and_folds_the_parameters(lacking):
+    page = draw_identification(lacking.out).read_text()
+    body = page[page.index("<body>") :]
+    verdict = "because errors in runs held out grew: v_x × "
+    order = [verdict, "racerl gap LOG", "factor [1]", "Measured and simulated", "Tyres", "<details>", "yaw_inertia"]
+    places = [body.index(part) for part in order]
+    assert places == sorted(places) and f"<title>usable: no, {verdict}" in page
+    rows = {name: body[body.index(f"<td>{name} [") :].split("</tr>")[0] for name in ("v_x", "yaw_rate")}
+    factors = {name: row["factor"] for name, row in lacking.facts["verdict"]["channels"].items()}
+    assert f'worse">× {factors["v_x"]:.2f}<' in rows["v_x"] and "worse" not in rows["yaw_rate"]
 
 
 def test_the_same_seed_gives_the_same_files(identified, hidden, tmp_path):
@@ -208,11 +222,44 @@ def test_the_command_line(hidden, tmp_path, monkeypatch, capsys):
     with pytest.raises(SystemExit) as end:
         main()
     assert end.value.code == 0 and (tmp_path / "scored" / "report.html").is_file()
-    assert "given vehicle" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "given vehicle" in told and told.splitlines()[-1] == "next: racerl train"
     monkeypatch.setattr("sys.argv", list(words))
     with pytest.raises(SystemExit) as end:
         main()
     assert end.value.code == 2 and "already holds" in capsys.readouterr().err
+
+
+def test_the_terminal_tells_the_verdict_first_and_one_row_per_channel(lacking):
+    stream = io.StringIO()
+    _print_identification(Console(file=stream, width=100, force_terminal=True), lacking.facts)
+    lines = stream.getvalue().splitlines()
+    assert lines[0].startswith("usable: no, because errors in runs held out grew: v_x × ")
+    rows = {name: [line for line in lines[1:] if f" {name} " in line] for name in ("v_x", "yaw_rate")}
+    assert all(len(found) == 1 for found in rows.values())
+    red = "\x1b[31m"
+    assert f"{red}× {lacking.facts['verdict']['channels']['v_x']['factor']:.2f}" in rows["v_x"][0]
+    assert red not in rows["yaw_rate"][0]
+
+
+def test_the_next_command_has_the_users_words():
+    words = [
+        "my drives/a.csv",
+        "b.csv",
+        "data=dart",
+        "data.velocities=poses",
+        "vehicle=jetracer",
+        "starts=1",
+        "step=0.0025",
+    ]
+    words += ["+vehicle/effect=yaw_damping", "vehicle.effects.yaw_damping.coefficient=0.1", "out=somewhere"]
+    model = Path("outputs/identify/my car/model.yaml")
+    car = "vehicle=jetracer +vehicle/effect=yaw_damping vehicle.effects.yaw_damping.coefficient=0.1"
+    logs = "'my drives/a.csv' b.csv data=dart data.velocities=poses"
+    assert _following("racerl gap LOG", words, model) == f"racerl gap {logs} {car}"
+    assert _following("racerl identify LOG", words, model).startswith(f"racerl identify {logs} vehicle=jetracer step=")
+    assert _following("racerl train VEHICLE", words, model) == f"racerl train {car}"
+    assert _following("racerl train vehicle=MODEL", words, model) == f"racerl train vehicle='{model}'"
 
 
 @pytest.mark.skipif(not (REAL / "put").is_dir(), reason="the measured logs are not here (shared/data/put)")

@@ -1,5 +1,6 @@
 """Intervals cover the truth as often as they say, and what can't be told apart is named."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,7 +8,7 @@ import numpy as np
 from racerl.identify.methods import Fit
 from racerl.identify.objective import Linearised, Point
 from racerl.identify.score import ErrorSum, held_errors, horizons_within
-from racerl.identify.uncertainty import describe, estimate
+from racerl.identify.uncertainty import Uncertainty, describe, estimate
 from racerl.identify.unknowns import Unknowns
 from racerl.vehicle.parameter import Parameter
 
@@ -68,6 +69,34 @@ def test_intervals_cover_the_truth():
     assert 0.88 <= np.mean(inside) <= 0.99
 
 
+def test_what_was_settled_before_widens_the_rest():
+    """Two steps: c from data of its own, then a and b with c held; all intervals cover the truth."""
+    inside, alone = [], []
+    for seed in range(20):
+        fit, objective, independent = linear_fit(seed)
+        error = 0.05 * np.random.default_rng(seed + 1000).standard_normal()
+        objective.unknowns = objective.unknowns.settled({"c": TRUTH[2] + error})
+        tt, tb = fit.linearised.tt.sum(0), (fit.linearised.tt @ fit.point.theta).sum(0) - fit.linearised.t.sum(0)
+        theta = np.append(np.linalg.solve(tt[:2, :2], tb[:2] - tt[:2, 2] * (TRUTH[2] + error)), TRUTH[2] + error)
+        gradient = fit.linearised.t + fit.linearised.tt @ (theta - fit.point.theta)
+        fit = Fit(Point(theta, fit.point.initial), replace(fit.linearised, t=gradient), 1, True)
+        draws = TRUTH[2] + error + 0.05 * np.random.default_rng(seed).standard_normal((1000, 1))
+        earlier = [Uncertainty(("c",), draws, np.array([[0.05**2]]))]
+        found = estimate(fit, objective, cut_of(np.arange(120) // 3), independent, 0, earlier)
+        low, high = np.percentile(found.draws, [2.5, 97.5], axis=0)
+        inside.append((low <= TRUTH) & (high >= TRUTH))
+        alone.append(found.half_width[2])
+    assert np.mean(inside) >= 0.88 and np.allclose(alone, 1.96 * 0.05)
+
+
+def test_all_may_be_settled_before():
+    fit, objective, independent = linear_fit(0)
+    draws = np.random.default_rng(0).standard_normal((1000, 3))
+    earlier = [Uncertainty(objective.unknowns.names, draws, np.eye(3))]
+    found = estimate(fit, objective, cut_of(np.arange(120)), independent, 0, earlier)
+    assert np.allclose(found.draws, draws) and np.allclose(found.covariance, np.eye(3))
+
+
 def test_half_width_is_the_covariances():
     fit, objective, independent = linear_fit(0)
     sigma = np.sqrt(np.diag(np.linalg.inv(fit.linearised.tt.sum(0))) * fit.linearised.data / independent)
@@ -83,7 +112,9 @@ def test_twins_are_named_not_separable():
         return J
 
     fit, objective, independent = linear_fit(1, design)
-    table, pairs = describe(fit, objective, estimate(fit, objective, cut_of(np.arange(120)), independent, 0))
+    table, pairs = describe(
+        objective.unknowns, fit.point.theta, estimate(fit, objective, cut_of(np.arange(120)), independent, 0)
+    )
     assert [sorted(pair["parameters"]) for pair in pairs] == [["a", "b"]]
     assert table["a"]["not_separable_from"] == ["b"] and not table["a"]["identified"]
     assert table["c"]["identified"] and table["c"]["not_separable_from"] == []

@@ -40,8 +40,8 @@ class GaussNewton:
         for iteration in range(1, self.iterations + 1):
             while True:
                 candidate = objective.moved(point, at, self._step(objective, point, at, damping), damping)
-                there = objective.linearise(candidate)
-                if there.cost <= at.cost:
+                # its gradients are only asked for where it is better
+                if objective.cost(candidate) <= at.cost and np.isfinite((there := objective.linearise(candidate)).cost):
                     break
                 damping *= 5
                 if damping > DAMPING_LIMIT:
@@ -62,7 +62,7 @@ class GaussNewton:
         A = H.sum(axis=0) * np.outer(scale, scale) + objective.penalty * np.eye(len(scale))
         b = g.sum(axis=0) * scale + objective.penalty * (point.theta - unknowns.start) / scale
         A += damping * np.diag(np.diag(A)) + 1e-12 * np.trace(A) / len(A) * np.eye(len(A))
-        free = ~(((point.theta <= unknowns.low) & (b > 0)) | ((point.theta >= unknowns.high) & (b < 0)))
+        free = ~(((point.theta <= unknowns.low) & (b >= 0)) | ((point.theta >= unknowns.high) & (b <= 0)))
         step = np.zeros_like(b)
         step[free] = -np.linalg.solve(A[np.ix_(free, free)], b[free])
         return unknowns.clip(point.theta + step * scale)

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import pandas as pd
 from matplotlib.figure import Figure
 
-from racerl.report.figures.style import COLOURS, WIDTH, style, to_svg
+from racerl.report.figures.style import COLOURS, PAPER, WIDTH, style, to_svg
 
 SLIPS = {"x": ("kappa", "slip ratio κ", "F_x / F_z"), "y": ("alpha", "tan of the slip angle α", "F_y / F_z")}
 
@@ -20,7 +20,7 @@ def draw(curves: pd.DataFrame, covered: Mapping[str, Sequence[float]], fitted: b
                 axis = axes[row, column]
                 name, label, force = SLIPS[direction]
                 low, high = covered[f"{name}_{axle[0]}"]
-                axis.axvspan(low, high, color="#dddddd", alpha=0.5, lw=0, label="slips in the log (1 … 99 %)")
+                axis.axvspan(low, high, color=PAPER, alpha=0.15, lw=0, label="slips in the log (1 … 99 %)")
                 curve = curves[(curves["axle"] == axle) & (curves["direction"] == direction)]
                 if fitted:
                     axis.fill_between(curve["slip"], curve["low"], curve["high"], color=COLOURS[0], alpha=0.3, lw=0)
