@@ -619,7 +619,7 @@ def _print_metrics(console: Any, metrics: dict[str, Any]) -> None:
     table.add_row(
         text("fastest_valid_lap_s", 3),
         text("mean_lap_s", 3),
-        "unknown" if over is None else f"{over:+.1%}",
+        f"{over:+.1%}" if over is not None else "unknown" if metrics["mean_lap_s"] else "none",
         text("std_lap_s", 3),
         text("e_off", 5),
         f"{metrics['crash_share']:.0%}",

@@ -85,8 +85,9 @@ class Budget:
             whole = int(given) if isinstance(given, float) and given.is_integer() else given  # 1e6 is one
             object.__setattr__(self, name, bounds.whole(f"budget.{name}", whole, 1, most))
         for name, (low, high) in RANGES.items():
-            if getattr(self, name) is not None or name not in OPTIONAL:
-                bounds.number(f"budget.{name}", getattr(self, name), low, high)
+            optional = name in OPTIONAL
+            if not (optional and getattr(self, name) is None):
+                bounds.number(f"budget.{name}", getattr(self, name), low, high, "or null" if optional else "")
         for name in ("actor", "critic"):
             bounds.layers(f"budget.{name}", getattr(self, name))
         for name in ("trial", "normalise", "bf16"):
