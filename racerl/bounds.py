@@ -24,3 +24,17 @@ def wholes(name: str, value: Any, low: int, high: int) -> list[int]:
     if not isinstance(value, list):
         raise ConfigError(f"{name} = {value}: a list of whole numbers is expected")
     return [whole(name, each, low, high) for each in value]
+
+
+def switch(name: str, value: Any) -> bool:
+    """Return true or false; raise ConfigError for anything else."""
+    if not isinstance(value, bool):
+        raise ConfigError(f"{name} = {value}: allowed is true or false")
+    return value
+
+
+def layers(name: str, value: Any) -> list[int]:
+    """Return the units of a network's hidden layers; raise ConfigError for anything else, none among it."""
+    if not 1 <= len(units := wholes(name, value, 1, 65_536)) <= 14:
+        raise ConfigError(f"{name} = {value}: allowed are 1 … 14 hidden layers")
+    return units

@@ -342,7 +342,7 @@ def _show_laps(stage: Callable[..., dict[str, Any]], settings: "Settings", out: 
 
     console = _console()
     with Bar(console, "evaluate") as bar:
-        metrics = stage(settings, out, lambda done, total: bar.show(done / total, f"lap {done} of {total}"))
+        metrics = stage(settings, out, bar.show)
     _print_metrics(console, metrics)
     console.print(f"results in {out / METRICS}; draw them with: racerl report {out}", highlight=False, soft_wrap=True)
 
@@ -400,6 +400,8 @@ def _drive(settings: "Settings", out: Path) -> None:
     lines = [f"the drive is in {out / LOG}" if driven else "nothing was driven"]
     if metrics:
         _print_metrics(console, metrics)
+        if metrics["optimum_s"] is None:
+            lines.append("racerl optimum, with the same vehicle, track, sim and action, finds the time-optimal lap")
         lines.append(f"draw it with: racerl report {out}")
     elif driven:
         lines.append("no counted lap was driven, so none is scored")
@@ -630,17 +632,13 @@ def _print_metrics(console: Any, metrics: dict[str, Any]) -> None:
     table.add_row(
         text("fastest_valid_lap_s", 3),
         text("mean_lap_s", 3),
-        "unknown" if over is None else f"{over:+.1%}",
+        f"{over:+.1%}" if over is not None else "unknown" if metrics["mean_lap_s"] else "none",
         text("std_lap_s", 3),
         text("e_off", 5),
         f"{metrics['crash_share']:.0%}",
         str(metrics["laps"]),
     )
     console.print(table)
-    if metrics["optimum_s"] is None and metrics["controller"] != "recorded":
-        console.print(
-            "for the time-optimal lap beside it: racerl optimum, with the same vehicle, track, sim and action"
-        )
     if metrics["nan_cars"]:
         console.print(f"warning: the simulation failed (NaN) for {metrics['nan_cars']} cars; counted as crashes")
 

@@ -25,7 +25,8 @@ from racerl.drive.world import build
 from racerl.errors import ConfigError, RunError
 from racerl.evaluate.drive import Recorder
 from racerl.evaluate.outcome import write_outcome
-from racerl.optimum.floor import known_floor, problem_hash
+from racerl.optimum.floor import problem_hash
+from racerl.optimum.kept import known
 from racerl.registry import construct
 from racerl.run import RunFolder
 
@@ -95,7 +96,7 @@ def write(folder: RunFolder, seat: "Seat", car: Car, seed: int) -> dict[str, Any
         label="human" if seat.hands.live else "script",
         car=car.name,
         controller=seat.name,
-        floor=known_floor(problem),
+        floor=known(race.vehicle, race.track, race.action),
         faults=race.faults,
         drive_mode=race.action.drive_mode,
         laps_wanted=seat.session.laps,

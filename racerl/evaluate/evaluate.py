@@ -16,10 +16,11 @@ from racerl.env.race import Race
 from racerl.env.randomize import Randomization
 from racerl.env.termination import Crash
 from racerl.errors import ConfigError, PolicyError
-from racerl.evaluate.drive import Recorder, drive
+from racerl.evaluate.against import drive_against_floor
+from racerl.evaluate.drive import Recorder
 from racerl.evaluate.outcome import write_outcome
 from racerl.evaluate.recorded import follow, read_recorded
-from racerl.optimum.floor import known_floor, problem_hash
+from racerl.optimum.floor import problem_hash
 from racerl.paper import PAPER
 from racerl.registry import construct
 from racerl.run import RunFolder
@@ -29,7 +30,7 @@ OVERRIDABLE = ("vehicle", "track", "sim", "dr")
 
 
 def evaluate(
-    settings: Mapping[str, Any], out: Path, on_lap: Callable[[int, int], None] = lambda done, total: None
+    settings: Mapping[str, Any], out: Path, on_progress: Callable[[float, str], None] = lambda share, remark: None
 ) -> dict[str, Any]:
     """Evaluate the policy, or score the drive log, of `settings["run"]`; return the metrics written into `out`."""
     if Path(str(settings["run"])).is_file() or str(settings["run"]).startswith(PAPER):
@@ -55,7 +56,7 @@ def evaluate(
     folder = RunFolder.start(out, "evaluate", settings, seed=seeds, threads=settings["threads"], device=str(device))
     recorder = Recorder(race, seeds)
     problem = problem_hash(race.vehicle, race.track, race.action)
-    driven = drive(race, policy, laps, recorder, lambda fewest: on_lap(fewest, laps))
+    driven, floor = drive_against_floor(race, race.vehicle, policy, laps, recorder, on_progress)
     metrics = write_outcome(
         folder,
         driven,
@@ -65,7 +66,7 @@ def evaluate(
         label=name,
         car=car.name,
         controller=policy.name,
-        floor=known_floor(problem),
+        floor=floor,
         faults=race.faults,
         run=str(settings["run"]),
         run_id=trained.manifest["run_id"],

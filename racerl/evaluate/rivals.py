@@ -16,11 +16,12 @@ from racerl.control.controllers import Known, Rival, create_controller
 from racerl.control.controllers.optimum import Optimum
 from racerl.data.log import Log
 from racerl.env.race import Race
-from racerl.evaluate.drive import Recorder, drive
+from racerl.evaluate.against import FINDING, drive_against_floor
+from racerl.evaluate.drive import Recorder
 from racerl.evaluate.evaluate import build_evaluation_race, combine, seeds_of
 from racerl.evaluate.outcome import write_outcome
 from racerl.evaluate.recorded import follow
-from racerl.optimum.floor import known_floor, problem_hash
+from racerl.optimum.floor import problem_hash
 from racerl.registry import construct
 from racerl.run import RunFolder
 
@@ -30,7 +31,7 @@ COMMANDS = ("steering_delay", "drive_delay")  # effects that make commands late
 
 
 def race(
-    settings: Settings, out: Path, on_lap: Callable[[int, int], None] = lambda done, total: None
+    settings: Settings, out: Path, on_progress: Callable[[float, str], None] = lambda share, remark: None
 ) -> dict[str, Any]:
     """Race the controller of `settings["controller"]`; return the metrics written into `out`."""
     seeds, laps = seeds_of(settings["seeds"]), bounds.whole("laps", settings["laps"], 1, 10_000)
@@ -38,12 +39,14 @@ def race(
     car = construct(Car, settings["car"], "car")
     design = create_controller(settings["controller"])
     if isinstance(design, Optimum):
-        return _bound(design, settings, out, car)
+        return _bound(design, settings, out, car, lambda share: on_progress(share, FINDING))
+    on_progress(0.0, "getting ready")
     field, controller = prepare(settings, car)
     folder = RunFolder.start(out, "evaluate", settings, seed=seeds, threads=settings["threads"])
     recorder = Recorder(field, seeds)
-    problem = problem_hash(build_vehicle(_world(settings, car)), field.track, field.action)
-    driven = drive(field, controller, laps, recorder, lambda fewest: on_lap(fewest, laps))
+    vehicle = build_vehicle(_world(settings, car))  # as it is without the controller's delay
+    problem = problem_hash(vehicle, field.track, field.action)
+    driven, floor = drive_against_floor(field, vehicle, controller, laps, recorder, on_progress)
     metrics = write_outcome(
         folder,
         driven,
@@ -53,7 +56,7 @@ def race(
         label=controller.name,
         car=car.name,
         controller=controller.name,
-        floor=known_floor(problem),
+        floor=floor,
         faults=field.faults,
         laps_per_seed=laps,
         **controller.facts,
@@ -85,11 +88,13 @@ def later(vehicle: Settings, delay: float) -> dict[str, Any]:
     return {**vehicle, "effects": effects}
 
 
-def _bound(design: Optimum, settings: Settings, out: Path, car: Car) -> dict[str, Any]:
+def _bound(
+    design: Optimum, settings: Settings, out: Path, car: Car, on_share: Callable[[float], None]
+) -> dict[str, Any]:
     """Score the time-optimal lap of the car itself."""
     world = _world(settings, car)
     known = Known(build_vehicle(world), build_track(world), build_action(world), build_timing(world))
-    log = Log.from_table("optimum", design.lap(known))
+    log = Log.from_table("optimum", design.lap(known, on_share))
     folder = RunFolder.start(out, "evaluate", settings, threads=settings["threads"])
     laps, driven = follow(known.track, [log])
     lap = laps[0]

@@ -5,7 +5,7 @@ seeds, in the world (vehicle, track, …) of the others.
 """
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -93,8 +93,16 @@ def plan(sweeps: Sequence[Sweep], settings: Mapping[str, Any], out: Path, compos
                     taken = any(known.name == job.name for known in jobs.values())  # by an arm of another sweep
                     jobs[identity] = replace(job, name=job.path.name) if taken else job
                 of[sweep.name, arm, seed] = jobs[identity]
-    # seed by seed, so that an interrupted sweep has all arms of the first
-    return Plan(sweeps, sorted(jobs.values(), key=lambda job: job.seed), of)
+    return Plan(sweeps, _in_order(jobs.values()), of)
+
+
+def _in_order(jobs: Collection[Job]) -> list[Job]:
+    """Return the jobs seed by seed, so that an interrupted sweep has all arms of the first.
+
+    Rivals come behind its trainings, whose words may be wrong, and before those of other seeds, for they may take long.
+    """
+    first = min((job.seed for job in jobs if job.train is not None), default=UNTRAINED)
+    return sorted(jobs, key=lambda job: (first, 1) if job.train is None else (job.seed, 0))
 
 
 def _training(

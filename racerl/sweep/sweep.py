@@ -26,6 +26,7 @@ from racerl.sweep.statistics import Samples, judge, resample
 RESULTS, LAPS, LEARNING = "results.json", "laps.csv", "learning.csv"
 TRAININGS, STEERING = "trainings.csv", "steering.csv"
 POINTS = 200  # of a learning curve
+USUAL_LAPS, TRIAL_LAPS = 20, 2  # flying laps of each start, where none are asked for
 
 
 def sweep(
@@ -41,6 +42,7 @@ def sweep(
     """
     sweeps = read_sweeps(str(settings["name"]))
     check(settings)
+    settings = {**settings, "laps": flying_laps(sweeps, settings, compose)}
     planned = plan(sweeps, settings, out, compose)
     engine = Engine(settings["engine"], settings["threads"], out)
     decisive = {key: value for key, value in settings.items() if key != "engine"}
@@ -58,10 +60,20 @@ def sweep(
     return facts
 
 
+def flying_laps(sweeps: Sequence[Sweep], settings: Mapping[str, Any], compose: Compose) -> int:
+    """Return the flying laps of each start: those asked for, else a few where every training is only a trial."""
+    if settings["laps"] is not None:
+        return int(settings["laps"])
+    words = [*map(str, settings["words"])]
+    trial = all(compose("train", [*sweep.base, *words])["budget"].get("trial") for sweep in sweeps)
+    return TRIAL_LAPS if trial else USUAL_LAPS
+
+
 def check(settings: Mapping[str, Any]) -> None:
     """Raise ConfigError for settings of the wrong kind or out of range."""
     bounds.whole("threads", settings["threads"], 1, 256)
-    bounds.whole("laps", settings["laps"], 1, 10_000)
+    if settings["laps"] is not None:
+        bounds.whole("laps", settings["laps"], 1, 10_000)
     for key in ("seeds", "starts"):
         bounds.wholes(key, settings[key], 0, 2**31 - 1)
     if not isinstance(settings["cars"], list) or not settings["cars"]:

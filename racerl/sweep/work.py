@@ -7,7 +7,8 @@ import fcntl
 import os
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -61,13 +62,23 @@ def _finish(job: Job) -> None:
     if job.train is not None and not is_complete(job.trained):
         train(job.train, job.trained, training)
     before = 0.0 if job.train is None else TRAINING
-    for i, (car, asked) in enumerate(job.races.items()):
-        tell(before + (1.0 - before) * i / len(job.races), f"racing ({car})")
-        if asked.record is not None and not is_complete(Path(asked.record["out"])):
-            record(asked.record, Path(asked.record["out"]))
-        if not is_complete(job.race(car)):
-            (race if "controller" in asked.settings else evaluate)(asked.settings, job.race(car))
+    each = (1.0 - before) / len(job.races)
+
+    def racing(number: int, car: str, share: float, remark: str) -> None:
+        tell(before + each * (number + share), f"racing ({car}), {remark}")
+
+    for number, (car, asked) in enumerate(job.races.items()):
+        _race(asked, job.race(car), partial(racing, number, car))
     tell(1.0, "done")
+
+
+def _race(asked: Race, out: Path, tell: Callable[[float, str], None]) -> None:
+    """Finish the race in one car, after the drive that it scores, if it does."""
+    tell(0.0, "getting ready")
+    if asked.record is not None and not is_complete(Path(asked.record["out"])):
+        record(asked.record, Path(asked.record["out"]), lambda share: tell(share, "being driven"))
+    if not is_complete(out):
+        (race if "controller" in asked.settings else evaluate)(asked.settings, out, tell)
 
 
 def _end_with(owner: Path) -> None:

@@ -7,6 +7,7 @@ KL divergence of its updates while the critic keeps learning, and action noise t
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,60 +18,80 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 from torch import Tensor, nn
 
+from racerl import bounds
 from racerl.env.adapters.sb3 import RaceVecEnv
 from racerl.env.race import Race
-from racerl.errors import ConfigError
 from racerl.train.normaliser import Normaliser, moments
 from racerl.train.products import fast_products
 from racerl.train.rollout import Minibatch, Rollout
 
-KL_STEP = 1.3  # factor by which the actor's learning rate follows the KL divergence
-KL_LARGEST = 2.0  # times the target, beyond which the actor rests until the next rollout
-ADAM_EPSILON = 1e-5  # Stable-Baselines3's
-LOWEST_RATE = 0.001  # of the scheduled learning rate
+# greatest of the whole numbers of a budget, and least and greatest of the others
+WHOLE = {"steps": 10**12, "evaluations": 10**6, "cars": 10**6, "rollout": 10**6, "epochs": 10**4, "batch": 10**9}
+RANGES = {
+    "gamma": (0.0, 1.0),
+    "gae_lambda": (0.0, 1.0),
+    "learning_rate": (1e-9, 1.0),
+    "final_learning_rate": (1e-9, 1.0),
+    "adam_epsilon": (1e-12, 1.0),
+    "clip": (1e-3, 10.0),
+    "entropy": (0.0, 10.0),
+    "value": (1e-6, 1e6),
+    "gradient_norm": (1e-6, 1e9),
+    "target_kl": (1e-9, 1e3),
+    "kl_step": (1.0, 100.0),
+    "kl_largest": (1.0, 1e3),
+    "lowest_rate": (1e-9, 1.0),
+    "initial_std": (1e-4, 10.0),
+    "final_std": (1e-4, 10.0),
+}
+OPTIONAL = ("target_kl", "final_std")  # or null
 JUDGED_AT_ONCE = 16_384  # observations, so that the layers' outputs stay small
 
 
 @dataclass(frozen=True)
 class Budget:
-    """How long and how to train: `conf/budget/*.yaml`."""
+    """How long and how to train; `conf/budget/*.yaml` says what each number is, and gives all of them."""
 
-    steps: int  # control steps of all cars together
+    trial: bool
+    steps: int
+    evaluations: int
     cars: int
-    rollout: int  # control steps of each car per update
-    batch: int
+    rollout: int
+    gamma: float
+    gae_lambda: float
     epochs: int
+    batch: int
     learning_rate: float
     final_learning_rate: float
-    gamma: float = 0.99
-    gae_lambda: float = 0.95
-    clip: float = 0.2
-    entropy: float = 0.0
-    value: float = 0.5
-    gradient_norm: float = 0.5
-    initial_std: float = 1.0  # of the action noise
-    final_std: float | None = None  # falls to it exponentially; None: it is learned
-    target_kl: float | None = None  # the actor's learning rate follows it, below the schedule; None: the schedule alone
-    normalise: bool = False  # observations by their running mean and deviation
-    bf16: bool = False  # networks in bf16 while they learn, on processors that multiply it faster
-    actor: tuple[int, ...] = (256, 256)
-    critic: tuple[int, ...] = (512, 512)
-    evaluations: int = 20  # evenly over the training
-    trial: bool = False  # too short to learn: sweeps draw no verdicts from it
+    adam_epsilon: float
+    clip: float
+    entropy: float
+    value: float
+    gradient_norm: float
+    target_kl: float | None
+    kl_step: float
+    kl_largest: float
+    lowest_rate: float
+    initial_std: float
+    final_std: float | None
+    actor: Sequence[int]
+    critic: Sequence[int]
+    normalise: bool
+    bf16: bool
 
     def __post_init__(self) -> None:
-        for name in ("steps", "cars", "rollout", "batch", "epochs", "evaluations"):
-            if getattr(self, name) < 1 or int(getattr(self, name)) != getattr(self, name):
-                raise ConfigError(f"budget.{name} = {getattr(self, name)}: allowed is a whole number, at least 1")
-        for name in ("learning_rate", "final_learning_rate", "clip", "gradient_norm", "initial_std"):
-            if not getattr(self, name) > 0:
-                raise ConfigError(f"budget.{name} = {getattr(self, name)}: allowed is more than 0")
-        for name in ("final_std", "target_kl"):
-            if getattr(self, name) is not None and not getattr(self, name) > 0:
-                raise ConfigError(f"budget.{name} = {getattr(self, name)}: allowed is more than 0, or null")
-        for name in ("gamma", "gae_lambda"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ConfigError(f"budget.{name} = {getattr(self, name)}: allowed is 0 … 1")
+        for name, most in WHOLE.items():
+            given = getattr(self, name)
+            whole = int(given) if isinstance(given, float) and given.is_integer() else given  # 1e6 is one
+            object.__setattr__(self, name, bounds.whole(f"budget.{name}", whole, 1, most))
+        for name, (low, high) in RANGES.items():
+            optional = name in OPTIONAL
+            if not (optional and getattr(self, name) is None):
+                bounds.number(f"budget.{name}", getattr(self, name), low, high, "or null" if optional else "")
+        for name in ("actor", "critic"):
+            bounds.layers(f"budget.{name}", getattr(self, name))
+        for name in ("trial", "normalise", "bf16"):
+            bounds.switch(f"budget.{name}", getattr(self, name))
 
 
 def hyperparameters(budget: Budget) -> dict[str, Any]:
@@ -118,7 +139,7 @@ class RacePPO(PPO):
         self._value = nn.Sequential(*self.policy.mlp_extractor.value_net, self.policy.value_net)
         actor, critic = [*self._mean.parameters(), self.policy.log_std], [*self._value.parameters()]
         groups: list[dict[str, Any]] = [{"params": actor}, {"params": critic}]
-        self.policy.optimizer = torch.optim.Adam(groups, eps=ADAM_EPSILON, fused=True)
+        self.policy.optimizer = torch.optim.Adam(groups, eps=budget.adam_epsilon, fused=True)
         self.policy.log_std.requires_grad_(budget.final_std is None)
 
     def actor(self) -> nn.Sequential:
@@ -139,7 +160,8 @@ class RacePPO(PPO):
                 action = actor(observation) + noise[t]
                 step = self.race.step(action)
                 rollout.observations[t], rollout.actions[t] = observation, action
-                rollout.rewards[t] = step.reward + self._time_out_value(step.truncated, step.final_observation)
+                rollout.rewards[t] = step.reward
+                rollout.cut_off[t] = self._time_out_value(step.truncated, step.final_observation)
                 rollout.ended[t] = step.terminated | step.truncated
                 observation = step.observation
                 self.num_timesteps += self.race.count
@@ -250,7 +272,7 @@ class RacePPO(PPO):
     def _too_far(self, divergence: Tensor) -> bool:
         """Return whether the actor has gone too far from the one that drove; never without a target."""
         target = self.budget.target_kl
-        return target is not None and bool(divergence > KL_LARGEST * target)
+        return target is not None and bool(divergence > self.budget.kl_largest * target)
 
     def _follow_divergence(self, rested: bool, divergence: float) -> None:
         """Lower the actor's learning rate after a rollout whose updates went too far, raise it after timid ones."""
@@ -258,10 +280,10 @@ class RacePPO(PPO):
         if target is None:
             return
         if rested:
-            self.rate_factor /= KL_STEP
+            self.rate_factor /= self.budget.kl_step
         elif divergence < target:
-            self.rate_factor *= KL_STEP
-        self.rate_factor = min(max(self.rate_factor, LOWEST_RATE), 1.0)
+            self.rate_factor *= self.budget.kl_step
+        self.rate_factor = min(max(self.rate_factor, self.budget.lowest_rate), 1.0)
 
 
 def actor_of(model: PPO) -> nn.Sequential:

@@ -27,17 +27,18 @@ class Rollout:
         self.steps, self.cars = steps, cars
         self.observations, self.actions = table(observation_size), table(action_size)
         self.rewards, self.values, self.log_probs, self.ended = table(), table(), table(), table()
+        self.cut_off = table()  # γ·V of the final observation where an episode was cut off, else 0
         self.advantages, self.returns = table(), table()
 
     def estimate(self, last_value: Tensor, gamma: float, gae_lambda: float) -> None:
         """Fill advantages and returns, given the value (N,) after the last step.
 
-        A_t = δ_t + γλ c_t A_{t+1},  δ_t = r_t + γ c_t V_{t+1} − V_t,  c_t = 0 where an episode ended, else 1.
-        Time-outs have γ·V of their final observation added to r_t beforehand.
+        A_t = δ_t + γλ c_t A_{t+1},  δ_t = r_t + b_t + γ c_t V_{t+1} − V_t,  c_t = 0 where an episode ended, else 1,
+        with b_t what was still to come where it was only cut off. Rewards stay those of the race.
         """
         continues = 1.0 - self.ended
         ahead = torch.cat([self.values[1:], last_value[None]])
-        deltas = self.rewards + gamma * continues * ahead - self.values
+        deltas = self.rewards + self.cut_off + gamma * continues * ahead - self.values
         decays = gamma * gae_lambda * continues
         advantage = torch.zeros_like(last_value)
         for t in reversed(range(self.steps)):

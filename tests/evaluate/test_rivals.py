@@ -5,10 +5,16 @@ import json
 import pandas as pd
 import pytest
 
+from racerl.assemble import build_track
 from racerl.config import compose_settings
-from racerl.errors import ConfigError
+from racerl.errors import ConfigError, OptimumError
+from racerl.evaluate.against import FINDING
 from racerl.evaluate.evaluate import evaluate
 from racerl.evaluate.rivals import race
+from racerl.optimum import kept
+from racerl.optimum.collocation import Collocation
+from racerl.optimum.corridor import Corridor
+from racerl.optimum.optimum import Optimum
 from racerl.report.subjects import find_subjects
 
 
@@ -28,6 +34,51 @@ def test_a_race_leaves_what_a_policys_leaves(tmp_path, middle_line):
     assert raced(tmp_path / "b", *words)["rows"] == metrics["rows"]
     (subject,) = find_subjects([tmp_path / "a"], tmp_path)
     assert subject.title == "pure pursuit" and subject.evaluation is not None
+
+
+@pytest.fixture
+def line(tmp_path):
+    """A raceline, so that nothing has to be found for it: the centreline, slowly."""
+    track = build_track(compose_settings("race"))
+    path = tmp_path / "line.csv"
+    path.write_text("\n".join(f"0; {x}; {y}; 0; 0; 2.5; 0" for x, y in zip(track.x, track.y, strict=True)))
+    return path
+
+
+def test_laps_are_set_against_the_optimum_that_nobody_asked_for(line, tmp_path, monkeypatch):
+    """It is found once, told while it is, and kept; laps without it are laps all the same."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    found = []
+
+    def find(vehicle, track, action, on_share):
+        found.append(vehicle)
+        on_share(0.5)
+        if float(vehicle.friction) < 0.8:
+            raise OptimumError("no lap")
+        corridor = Corridor(track)
+        problem = Collocation(vehicle, action, corridor, 60)
+        return Optimum(problem.solve(problem.guess(0.0)), corridor, [])
+
+    monkeypatch.setattr(kept, "find_optimum", find)
+    told = []
+
+    def driven(name, *words):
+        settings = compose_settings("race", ["controller=pure_pursuit", f"controller.raceline={line}", *words])
+        return race({**settings, "laps": 1, "seeds": [0]}, tmp_path / name, lambda *each: told.append(each))
+
+    first, again = driven("a"), driven("b")
+    assert len(found) == 1 and 5.0 < first["optimum_s"] < 6.0 and again["optimum_s"] == first["optimum_s"]
+    assert first["mean_over_optimum"] == pytest.approx(first["mean_lap_s"] / first["optimum_s"] - 1.0)
+    assert (0.75, FINDING) in told and told.count((1.0, "lap 1 of 1")) == 1
+    assert driven("c", "vehicle.friction=0.7")["mean_over_optimum"] is None and len(found) == 2
+
+
+def test_a_policy_without_a_lap_has_nothing_to_be_set_against(smoke_run, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(kept, "find_optimum", lambda *given: pytest.fail("nobody asked for it"))
+    metrics = evaluate(compose_settings("evaluate", [f"run='{smoke_run}'", "laps=1", "seeds=[0]"]), tmp_path / "race")
+    assert metrics["mean_lap_s"] is None and metrics["optimum_s"] is None
 
 
 def test_the_optimum_is_a_lap_that_nobody_drives(tmp_path):

@@ -11,10 +11,11 @@ from racerl.assemble import build_track
 from racerl.config import compose_settings
 from racerl.report.sweep_page import draw_sweep
 from racerl.run import RunFolder
+from racerl.sweep import work as stage
 from racerl.sweep.definition import METRICS, Comparison, read_sweeps
-from racerl.sweep.jobs import UNTRAINED, plan
+from racerl.sweep.jobs import UNTRAINED, Race, plan
 from racerl.sweep.statistics import MEASURES, contrast, resample
-from racerl.sweep.sweep import LAPS, TRAININGS, gather, results, summarise
+from racerl.sweep.sweep import LAPS, TRAININGS, flying_laps, gather, results, summarise
 from racerl.sweep.work import work
 
 SETTINGS = {"words": [], "threads": 1, "seeds": [], "laps": 1, "starts": [0, 1], "cars": ["model", "twin"]}
@@ -93,6 +94,50 @@ def test_rivals_race_in_the_world_of_the_others(tmp_path):
     assert jobs["human"].races["model"].settings["track"] is not None
     again = {job.name: job for job in plan([sweep], SETTINGS, tmp_path, compose_settings).jobs}
     assert again["mpc"].path != jobs["mpc"].path and again["human"].path == jobs["human"].path
+
+
+def test_rivals_come_behind_the_first_trainings_and_before_the_others(tmp_path):
+    (sweep,) = read_sweeps("controllers")
+    settings = {**SETTINGS, "words": ["budget=smoke"], "cars": ["model"]}
+    names = [job.name for job in plan([sweep], settings, tmp_path, compose_settings).jobs]
+    rivals = {"mpc", "pure_pursuit", "optimum", "human", "human_like"}
+    assert all(name.endswith("-0") for name in names[:3]) and set(names[3:8]) == rivals
+    assert [name[-2:] for name in names[8:]] == ["-1"] * 3 + ["-2"] * 3
+
+
+@pytest.mark.parametrize(
+    "words, laps, driven",
+    [(["budget=smoke"], None, 2), (["budget.trial=true"], None, 2), ([], None, 20), (["budget=smoke"], 7, 7)],
+)
+def test_a_trial_is_raced_for_a_few_laps(words, laps, driven):
+    sweeps = read_sweeps("controllers")
+    assert flying_laps(sweeps, {"words": words, "laps": laps}, compose_settings) == driven
+    assert compose_settings("sweep", ["name=controllers"])["laps"] is None
+
+
+def test_a_race_tells_its_laps(planned, tmp_path, monkeypatch):
+    """Through the file that a training tells its steps by."""
+    told = []
+    monkeypatch.setattr(stage, "PERIOD", 0.0)
+    monkeypatch.setattr(stage, "write_json", lambda path, facts: told.append((path, facts)))
+    for name in ("pursuit", "human_like"):
+        job = next(job for job in planned.jobs if job.name == name)
+        races = {car: move(asked, tmp_path / name / car) for car, asked in job.races.items()}
+        work(name, str(tmp_path / name), None, races, None)
+    shares = [facts["share"] for path, facts in told if path == tmp_path / "pursuit" / stage.STATE]
+    remarks = {facts["remark"] for _, facts in told}
+    assert shares == sorted(shares) and len(set(shares)) > 4 and shares[-1] == 1.0
+    assert {f"racing ({car}), lap {lap} of 2" for car in ("model", "twin") for lap in (0, 1, 2)} <= remarks
+    assert "racing (twin), being driven" in remarks
+
+
+def move(asked, out):
+    """Return a race of two laps in another folder."""
+    record = asked.record and {**asked.record, "out": str(out) + "_drive", "seconds": 20.0}
+    settings = {**asked.settings, "laps": 2} if "laps" in asked.settings else asked.settings
+    if record:
+        settings = {**settings, "run": f"{record['out']}/{record['file']}"}
+    return Race(settings, record)
 
 
 def rows_of(arm, seed, times):

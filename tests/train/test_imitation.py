@@ -1,5 +1,6 @@
 """The teacher drives near the limit, and a policy that imitates it soon laps cleanly; one that can't learn does not."""
 
+import dataclasses
 import json
 
 import pytest
@@ -13,6 +14,7 @@ from racerl.errors import ConfigError
 from racerl.evaluate.drive import drive
 from racerl.evaluate.laps import score
 from racerl.train.algorithms import create_algorithm
+from racerl.train.algorithms.imitation import Imitation
 from racerl.train.teacher import Teacher
 from racerl.train.train import train
 
@@ -95,6 +97,20 @@ def test_a_policy_that_hardly_moves_does_not(settings, taught, tmp_path):
 def test_impossible_settings_are_told(settings, change):
     with pytest.raises(ConfigError, match="allowed"):
         create_algorithm({**settings["algo"], **change})
+
+
+NUMBERS = [field.name for field in dataclasses.fields(Imitation)]
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+def test_every_number_stands_in_its_file(settings, name):
+    assert set(settings["algo"]) == {"name", *NUMBERS}
+    for nonsense in (-1, float("nan"), "word", None, []):
+        with pytest.raises(ConfigError, match=rf"algo\.{name} = .*(allowed|expected)") as error:
+            create_algorithm({**settings["algo"], name: nonsense})
+        assert "\n" not in str(error.value)
+    with pytest.raises(ConfigError, match=f"{name} is missing"):  # nothing stands in for it
+        create_algorithm({key: value for key, value in settings["algo"].items() if key != name})
 
 
 @pytest.mark.slow

@@ -1,19 +1,26 @@
 """Learning: advantages against an independent formula, a policy that must improve, and one that cannot."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
 from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.logger import configure
 
+from racerl.config import compose_settings
 from racerl.errors import ConfigError
 from racerl.registry import construct
 from racerl.train.ppo import Budget, RacePPO, actor_of
 from racerl.train.products import has_bf16
 from racerl.train.rollout import Rollout
+from tests.conftest import CONF
 from tests.env.test_race import make
 
+SWITCHES = ("trial", "normalise", "bf16")
+
 SMALL = {
+    **compose_settings("train", ["budget=smoke"])["budget"],
     "cars": 64,
     "rollout": 32,
     "batch": 512,
@@ -69,6 +76,23 @@ def test_a_time_out_is_bootstrapped_and_an_end_is_not():
     truncated = torch.tensor([True, False, True])
     added = model._time_out_value(truncated, torch.zeros(3, 50)).detach()
     assert float(added[0]) == pytest.approx(0.95 * (float(final) + 100.0), rel=1e-5) and float(added[1]) == 0.0
+
+
+def test_the_logged_reward_is_that_of_the_race():
+    """Whatever the critic says of episodes that were cut off."""
+    model = learner(make("sim.max_steps=10", cars=64))
+    model.policy.value_net.bias.data += 100.0
+    honest, rewards = model.race.step, []
+
+    def step(action):
+        taken = honest(action)
+        rewards.append(taken.reward)
+        return taken
+
+    model.race.step = step  # type: ignore[method-assign]
+    model.learn(1)
+    assert model.logger.name_to_value["train/reward"] == float(torch.stack(rewards).mean())
+    assert float(model.rollout.cut_off.max()) > 50.0  # the learner was told what was still to come
 
 
 def mean_reward(model, steps):
@@ -129,6 +153,47 @@ def test_the_learning_rate_follows_the_divergence():
     assert model.rate_factor == kept
 
 
+def test_how_the_learning_rate_follows_stands_in_the_budget():
+    model = learner(target_kl=0.01, kl_step=2.0, lowest_rate=0.3)
+    model._follow_divergence(True, 0.05)
+    assert model.rate_factor == 0.5
+    model._follow_divergence(True, 0.05)
+    assert model.rate_factor == 0.3
+    assert not model._too_far(torch.tensor(0.015)) and model._too_far(torch.tensor(0.03))
+    assert learner(target_kl=0.01, kl_largest=1.0)._too_far(torch.tensor(0.015))
+    assert learner(adam_epsilon=1e-3).policy.optimizer.defaults["eps"] == 1e-3
+
+
+BUDGETS = sorted(path.stem for path in (CONF / "budget").glob("*.yaml"))
+OTHER = {"cars": 5, "gamma": 0.5, "target_kl": 0.5, "final_std": 0.5, "actor": [7], "critic": [7, 7, 7]}
+
+
+@pytest.mark.parametrize("budget", BUDGETS)
+def test_every_number_of_the_learner_stands_in_its_file(budget):
+    fields = {field.name: field for field in dataclasses.fields(Budget)}
+    settings = compose_settings(
+        "train", [f"budget={budget}", *(f"budget.{key}={value}" for key, value in OTHER.items())]
+    )
+    assert set(settings["budget"]) == set(fields)
+    assert all(field.default is dataclasses.MISSING for field in fields.values())  # none in the code
+    assert {key: settings["budget"][key] for key in OTHER} == OTHER
+    construct(Budget, settings["budget"], "budget")
+
+
+@pytest.mark.parametrize("value", [-1, float("nan"), "word", None, [], True])
+@pytest.mark.parametrize("name", [field.name for field in dataclasses.fields(Budget)])
+def test_nonsense_is_refused_in_one_line(name, value):
+    if (value is None and name in ("target_kl", "final_std")) or (value is True and name in SWITCHES):
+        return
+    with pytest.raises(ConfigError, match=rf"budget\.{name} = .*(allowed|expected)") as error:
+        construct(Budget, {**SMALL, name: value}, "budget")
+    assert "\n" not in str(error.value)
+
+
+def test_a_million_is_a_whole_number():
+    assert construct(Budget, {**SMALL, "steps": 1e6}, "budget").steps == 1_000_000
+
+
 def test_an_actor_that_went_too_far_rests_while_the_critic_learns():
     def changes(target):
         model = learner(target_kl=target)
@@ -163,8 +228,6 @@ def test_the_policy_that_is_saved_drives_as_the_one_that_learned():
 
 
 def test_the_paper_budget_is_the_papers():
-    from racerl.config import compose_settings
-
     budget = construct(Budget, compose_settings("train", ["budget=paper"])["budget"], "budget")
     assert (budget.steps, budget.cars, budget.rollout, budget.batch) == (120_000_000, 400, 1024, 1024)
     assert (budget.gamma, budget.epochs, budget.gae_lambda, budget.clip) == (0.99, 10, 0.95, 0.2)

@@ -1,5 +1,6 @@
 """The time-optimal lap as a row of its own: nobody drives it, it is the bound under everybody's laps."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -8,7 +9,8 @@ import pandas as pd
 
 from racerl.control.controllers import Known, Rival
 from racerl.errors import ConfigError
-from racerl.optimum.optimum import find_optimum, trajectory
+from racerl.optimum.kept import kept_lap
+from racerl.optimum.optimum import trajectory
 
 PERIOD = 0.01  # s
 LAPS = 2.2  # so that one begins and ends at the line
@@ -24,9 +26,9 @@ class Optimum:
         """Raise ConfigError: there is nothing to drive."""
         raise ConfigError("controller = optimum: is a lap, not a driver; racerl evaluate controller=optimum shows it")
 
-    def lap(self, known: Known) -> pd.DataFrame:
+    def lap(self, known: Known, on_share: Callable[[float], None] = lambda share: None) -> pd.DataFrame:
         """Return the lap, driven over and over, as the table of a log; raise OptimumError where none is found."""
-        solution = find_optimum(known.vehicle, known.track, known.action).solution
+        solution = kept_lap(known.vehicle, known.track, known.action, on_share)
         lap = trajectory(solution).set_index("t")[["x", "y", "yaw", "v_x", "v_y", "yaw_rate", "delta", "omega"]]
         t = np.arange(0.0, LAPS * solution.time, PERIOD)
         number, within = np.divmod(t, solution.time)

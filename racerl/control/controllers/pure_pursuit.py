@@ -20,7 +20,8 @@ from racerl.documents import read_text
 from racerl.env.actions import outputs
 from racerl.env.race import V_X, YAW, Race, X, Y
 from racerl.errors import ConfigError
-from racerl.optimum.optimum import find_optimum, trajectory
+from racerl.optimum.kept import kept_lap
+from racerl.optimum.optimum import trajectory
 
 SPACING = 0.02  # m
 SHORTEST = 1.0  # m, of a line
@@ -99,7 +100,7 @@ class Pursuer:
 
 
 def _time_optimal(known: Known) -> Array:
-    lap = trajectory(find_optimum(known.vehicle, known.track, known.action).solution)
+    lap = trajectory(kept_lap(known.vehicle, known.track, known.action))
     return np.stack([lap["x"], lap["y"], np.hypot(lap["v_x"], lap["v_y"])])
 
 

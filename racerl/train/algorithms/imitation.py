@@ -5,47 +5,66 @@ mistakes. Targets reach a little beyond ± 1, where the race clamps; a network t
 not pulled back.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
+from racerl import bounds
 from racerl.assemble import build_race
 from racerl.control.policy import build_network
 from racerl.env.race import Race
-from racerl.errors import ConfigError
 from racerl.train.products import fast_products
 from racerl.train.session import Progress, Session, policy_of
 from racerl.train.teacher import Teacher
 
-LARGEST = 1.3  # of a target
-HANDING_OVER = 4  # rounds until the teacher no longer drives
-LAST_RATE = 0.02  # of the learning rate, at the end of the last fit
-EXAMINED_EVERY = 5  # rounds
+# greatest of the whole numbers, and least and greatest of the others
+WHOLE = {
+    "rounds": 10**6,
+    "cars": 10**6,
+    "steps": 10**6,
+    "handing_over": 10**6,
+    "batch": 10**9,
+    "updates": 10**6,
+    "last_updates": 10**6,
+    "examined_every": 10**6,
+}
+RANGES = {
+    "fast_starts": (0.0, 1.0),
+    "noise": (0.0, 10.0),
+    "largest_target": (1.0, 10.0),
+    "learning_rate": (1e-9, 1.0),
+    "last_rate": (1e-9, 1.0),
+}
 
 
 @dataclass(frozen=True)
 class Imitation:
-    """How much is driven and how long it is fitted."""
+    """How much is driven and how long it is fitted; `conf/algo/imitation.yaml` says what each number is."""
 
-    rounds: int = 40
-    cars: int = 256
-    steps: int = 40  # control steps of each car per round
-    batch: int = 2048
-    updates: int = 100  # after each round
-    last_updates: int = 600  # after the last, with a falling learning rate
-    learning_rate: float = 1e-3
-    layers: tuple[int, ...] = (256, 256)
-    noise: float = 0.05  # of the actions that are driven
-    fast_starts: float = 0.5  # share of episodes that begin near the fastest lap
+    rounds: int
+    cars: int
+    steps: int
+    handing_over: int
+    fast_starts: float
+    noise: float
+    largest_target: float
+    batch: int
+    updates: int
+    last_updates: int
+    learning_rate: float
+    last_rate: float
+    layers: Sequence[int]
+    examined_every: int
 
     def __post_init__(self) -> None:
-        for name in ("rounds", "cars", "steps", "batch", "updates", "last_updates"):
-            if int(getattr(self, name)) != getattr(self, name) or getattr(self, name) < 1:
-                raise ConfigError(f"algo.{name} = {getattr(self, name)}: allowed is a whole number, at least 1")
-        if not self.learning_rate > 0 or self.noise < 0 or not 0 <= self.fast_starts <= 1:
-            raise ConfigError("algo: learning_rate > 0, noise ≥ 0 and fast_starts in 0 … 1 are allowed")
+        for name, most in WHOLE.items():
+            bounds.whole(f"algo.{name}", getattr(self, name), 1, most)
+        for name, (low, high) in RANGES.items():
+            bounds.number(f"algo.{name}", getattr(self, name), low, high)
+        bounds.layers("algo.layers", self.layers)
 
     def train(self, session: Session) -> dict[str, Any]:
         """Drive and fit for `rounds` rounds."""
@@ -60,12 +79,12 @@ class Imitation:
         seen: list[Tensor] = []
         asked: list[Tensor] = []
         for number in range(self.rounds):
-            reward = self._drive(race, teacher, network, 1.0 - number / HANDING_OVER, dice, seen, asked)
+            reward = self._drive(race, teacher, network, 1.0 - number / self.handing_over, dice, seen, asked)
             last = number == self.rounds - 1
             with fast_products(session.device):
                 loss = self._fit(network, optimizer, torch.cat(seen), torch.cat(asked), last, dice)
             steps = (number + 1) * self.cars * self.steps
-            if last or number % EXAMINED_EVERY == EXAMINED_EVERY - 1:
+            if last or (number + 1) % self.examined_every == 0:
                 # one flying lap from a standing start says little of the pace: the policy that has seen most is kept
                 session.examine(policy_of(network, race, session.settings), steps, improving=True)
             session.logger.record("train/loss", loss)
@@ -91,7 +110,7 @@ class Imitation:
         rewards = []
         observation = race.observe()
         for _ in range(self.steps):
-            target = teacher(race).clamp(-LARGEST, LARGEST)
+            target = teacher(race).clamp(-self.largest_target, self.largest_target)
             seen.append(observation)
             asked.append(target)
             action = torch.where(by_teacher, target, network(observation)).clamp(-1.0, 1.0)
@@ -123,11 +142,11 @@ class Imitation:
         count = self.last_updates if last else self.updates
         losses = []
         for update in range(count):
-            falling = 1.0 - (1.0 - LAST_RATE) * update / count if last else 1.0
+            falling = 1.0 - (1.0 - self.last_rate) * update / count if last else 1.0
             optimizer.param_groups[0]["lr"] = self.learning_rate * falling
             chosen = torch.randint(0, len(seen), (self.batch,), generator=dice, device=seen.device)
             answer, target = network(seen.index_select(0, chosen)), asked.index_select(0, chosen)
-            beyond = (target.abs() >= LARGEST) & (answer * target.sign() > LARGEST)
+            beyond = (target.abs() >= self.largest_target) & (answer * target.sign() > self.largest_target)
             loss = ((answer - target) ** 2).masked_fill(beyond, 0.0).mean()
             optimizer.zero_grad()
             loss.backward()
