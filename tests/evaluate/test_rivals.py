@@ -41,7 +41,7 @@ def line(tmp_path):
     """A raceline, so that nothing has to be found for it: the centreline, slowly."""
     track = build_track(compose_settings("race"))
     path = tmp_path / "line.csv"
-    path.write_text("\n".join(f"0; {x}; {y}; 0; 0; 2.5; 0" for x, y in zip(track.x, track.y, strict=True)))
+    path.write_text("\n".join(f"0; {x}; {y}; 0; 0; 1.5; 0" for x, y in zip(track.x, track.y, strict=True)))
     return path
 
 
