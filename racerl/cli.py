@@ -30,10 +30,6 @@ PAIRS = 12  # named on the terminal; the page names all
 HYDRA = {"allow_extra_args": True, "ignore_unknown_options": True}
 
 
-# second words of commands that are commands of their own
-TWO_WORDS = ("gap plan", "gap close", "report compare")
-
-
 def _words(metavar: str, *commands: str, others: Callable[[], list[str]] = list) -> Any:
     """Return a command's words: what its usage calls them, and the commands whose groups complete them."""
     complete = completion.overrides(*commands, others=others)
@@ -141,7 +137,7 @@ def data(arguments: Annotated[list[str] | None, _words("LOG... [KEY=VALUE]...", 
 
     Channels, rates, noise, coverage, and a warning for every trap seen; writes data.json and report.html.
     """
-    _run("data", arguments, _data, positional="logs")
+    _run("data", arguments, partial(_data, arguments or []), positional="logs")
 
 
 @app.command()
@@ -162,8 +158,7 @@ def effects(
         bounds = f"{known_of.low:g} … {known_of.high:g} {known_of.unit}".rstrip()
         lines.append(f"Parameter {parameter}: {known_of.meaning}, {bounds}")
     lines.append(f"Add it with +vehicle/effect={name}, change it with vehicle.effects.{name}.{parameter}=…")
-    for line in lines:
-        console.print(line, highlight=False, soft_wrap=True, markup=False)
+    _print_lines(console, *lines)
 
 
 @app.command(context_settings=HYDRA)
@@ -191,7 +186,8 @@ def gap(
     racerl gap plan LOG... only says which effects the log could tell apart, and what to drive next; racerl gap close
     LOG... real=FILE says what naming the effects is worth to a policy (each has a --help of its own).
     """
-    _run("gap", [*(arguments or []), *([f"out={out}"] if out else [])], _gap, positional="logs")
+    words = arguments or []
+    _run("gap", [*words, *([f"out={out}"] if out else [])], partial(_gap, words), positional="logs")
 
 
 @app.command("gap plan", context_settings=HYDRA, hidden=True)
@@ -327,7 +323,7 @@ def _train(settings: "Settings", out: Path) -> None:
     )
     if facts["nan_cars"]:
         console.print(f"warning: the simulation failed (NaN) for {facts['nan_cars']} cars, which were started over")
-    console.print(f"policy in {out}; race it with: racerl evaluate {out}", highlight=False, soft_wrap=True)
+    _print_lines(console, f"policy in {out}", f"next: racerl evaluate {_quoted(out)}")
 
 
 def _evaluate(settings: "Settings", out: Path) -> None:
@@ -344,7 +340,7 @@ def _show_laps(stage: Callable[..., dict[str, Any]], settings: "Settings", out: 
     with Bar(console, "evaluate") as bar:
         metrics = stage(settings, out, bar.show)
     _print_metrics(console, metrics)
-    console.print(f"results in {out / METRICS}; draw them with: racerl report {out}", highlight=False, soft_wrap=True)
+    _print_lines(console, f"results in {out / METRICS}", f"next: racerl report {_quoted(out)}")
 
 
 def _race(settings: "Settings", out: Path) -> None:
@@ -363,13 +359,13 @@ def _tune(settings: "Settings", out: Path) -> None:
             settings, out, lambda done, best: bar.show(done / trials, f"trial {done}: {best:.3f} s per valid lap")
         )
     best = facts["best"]
-    lines = [
+    _print_lines(
+        console,
         f"{best['seconds_per_valid_lap']:.3f} s per valid lap, {best['valid_laps']} of {best['laps']} valid "
         f"(first trial: {facts['trials'][0]['seconds_per_valid_lap']:.3f} s)",
-        f"controller in {out / CONTROLLER}; race it with: racerl evaluate controller={out / CONTROLLER}",
-    ]
-    for line in lines:
-        console.print(line, highlight=False, soft_wrap=True, markup=False)
+        f"controller in {out / CONTROLLER}",
+        f"next: racerl evaluate controller={_quoted(out / CONTROLLER)}",
+    )
 
 
 def _record(settings: "Settings", out: Path) -> None:
@@ -380,14 +376,15 @@ def _record(settings: "Settings", out: Path) -> None:
     seconds = settings["seconds"]
     with Bar(console, "record") as bar:
         facts = record(settings, out, lambda share: bar.show(share, f"{share * seconds:.0f} of {seconds:g} s driven"))
-    console.print(
-        f"{facts['rows']:,} rows in {facts['runs']} runs in {out / settings['file']}: "
+    log = out / settings["file"]
+    _print_lines(
+        console,
+        f"{facts['rows']:,} rows in {facts['runs']} runs in {log}: "
         f"up to {facts['speed_max']:.1f} m/s, "
         f"slip angles {facts['alpha_f_low']:.2f} … {facts['alpha_f_high']:.2f} rad in front and "
         f"{facts['alpha_r_low']:.2f} … {facts['alpha_r_high']:.2f} rad at the rear, "
         f"slip ratios {facts['kappa_low']:.2f} … {facts['kappa_high']:.2f} (1 % quantiles)",
-        highlight=False,
-        soft_wrap=True,
+        f"next: racerl data {_quoted(log)}",
     )
 
 
@@ -402,10 +399,10 @@ def _drive(settings: "Settings", out: Path) -> None:
         _print_metrics(console, metrics)
         if metrics["optimum_s"] is None:
             lines.append("racerl optimum, with the same vehicle, track, sim and action, finds the time-optimal lap")
-        lines.append(f"draw it with: racerl report {out}")
     elif driven:
         lines.append("no counted lap was driven, so none is scored")
-    console.print("; ".join(lines), highlight=False, soft_wrap=True)
+    following = f"report {_quoted(out)}" if metrics else f"data {_quoted(out / LOG)}" if driven else "drive"
+    _print_lines(console, "; ".join(lines), f"next: racerl {following}")
 
 
 def _identify(words: Sequence[str], settings: "Settings", out: Path) -> None:
@@ -420,20 +417,28 @@ def _identify(words: Sequence[str], settings: "Settings", out: Path) -> None:
     page = draw_identification(out)
     lines = [f"warning: {warning}" for warning in facts["warnings"]]
     written = f"vehicle in {out / MODEL}, report in {page}" if facts["fitted"] else f"report in {page}"
-    for line in [*lines, written, f"next: {_following(facts['verdict']['next'], words, out / MODEL)}"]:
-        console.print(line, highlight=False, soft_wrap=True, markup=False)
+    _print_lines(console, *lines, written, f"next: {_following(facts['verdict']['next'], words, out / MODEL)}")
 
 
 def _following(command: str, words: Sequence[str], model: Path) -> str:
     """Return the next command: LOG and VEHICLE are those of a user's words that it takes, MODEL is the file."""
-    kept = {"logs", "data", "vehicle", "step"} & own_keys(command.split()[1])
+    kept = {"logs", "data", "vehicle", "step"} & own_keys(command.split()[1])  # of `gap plan` as of `gap`
     roots = [re.split(r"[./=]", word.lstrip("+~"))[0] if "=" in word else "logs" for word in words]
     mine = shlex.join(word for word, root in zip(words, roots, strict=True) if root in kept)
-    places = {"LOG": mine, "VEHICLE": mine, "MODEL": shlex.quote(str(model))}
+    places = {"LOG": mine, "VEHICLE": mine, "MODEL": _quoted(model)}
     return re.sub("|".join(places), lambda place: places[place[0]], command).rstrip()
 
 
-def _gap(settings: "Settings", out: Path) -> None:
+def _quoted(path: Path) -> str:
+    """Return a path as a shell reads it back."""
+    return shlex.quote(str(path))
+
+
+def _print_lines(console: Any, *lines: str) -> None:
+    _print_lines(console, *lines)
+
+
+def _gap(words: Sequence[str], settings: "Settings", out: Path) -> None:
     from racerl.console import Bar
     from racerl.gap.diagnose import MODEL, gap
     from racerl.report.gap_page import draw_gap
@@ -443,8 +448,9 @@ def _gap(settings: "Settings", out: Path) -> None:
         facts = gap(settings, out, lambda what, share: bar.show(share, what))
     page = draw_gap(out)
     _print_verdict(console, facts)
-    for line in (f"vehicle in {out / MODEL}; drive it with: racerl train vehicle={out / MODEL}", f"report in {page}"):
-        console.print(line, highlight=False, soft_wrap=True, markup=False)
+    undecided = facts["verdict"] in ("ambiguous", "under_excited")
+    following = _following("racerl gap plan LOG" if undecided else "racerl train vehicle=MODEL", words, out / MODEL)
+    _print_lines(console, f"vehicle in {out / MODEL}, report in {page}", f"next: {following}")
 
 
 def _close(settings: "Settings", out: Path) -> None:
@@ -492,8 +498,7 @@ def _plan(settings: "Settings", out: Path) -> None:
     lines += [f"{len(dark)} of {len(facts['effects'])} effects would not show at their usual size: {', '.join(dark)}"]
     lines += [f"alike: {' and '.join(row['effects'])} (cosine {row['cosine']:+.3f})" for row in facts["alike"][:PAIRS]]
     lines += [f"drive next: {row['drive']} (for {', '.join(row['for'])})" for row in facts["next"]]
-    for line in [*lines, f"numbers in {out / PLAN}, picture in {out / 'separability.svg'}"]:
-        console.print(line, highlight=False, soft_wrap=True, markup=False)
+    _print_lines(console, *lines, f"numbers in {out / PLAN}, picture in {out / 'separability.svg'}")
 
 
 def _print_verdict(console: Any, facts: dict[str, Any]) -> None:
@@ -516,8 +521,7 @@ def _print_verdict(console: Any, facts: dict[str, Any]) -> None:
         )
     for remark in facts["remarks"]:
         lines.append(f"warning: {remark}")
-    for line in lines:
-        console.print(line, highlight=False, soft_wrap=True, markup=False)
+    _print_lines(console, *lines)
 
 
 def _sweep(settings: "Settings", out: Path) -> None:
@@ -657,7 +661,7 @@ def _compare(settings: "Settings", out: Path) -> None:
     _console().print(f"report in {page}", highlight=False, soft_wrap=True)
 
 
-def _data(settings: "Settings", out: Path) -> None:
+def _data(words: Sequence[str], settings: "Settings", out: Path) -> None:
     from racerl.data.survey import survey
     from racerl.report.log_page import draw_logs
 
@@ -667,7 +671,7 @@ def _data(settings: "Settings", out: Path) -> None:
         _print_log(console, log)
     for warning in facts["warnings"]:
         console.print(f"warning: {warning}", highlight=False, soft_wrap=True, markup=False)
-    console.print(f"report in {draw_logs(out)}", highlight=False, soft_wrap=True)
+    _print_lines(console, f"report in {draw_logs(out)}", f"next: {_following('racerl identify LOG', words, out)}")
 
 
 def _print_log(console: Any, log: dict[str, Any]) -> None:
@@ -683,8 +687,7 @@ def _print_log(console: Any, log: dict[str, Any]) -> None:
     console.print(table)
     lines = [f"not in the log: {', '.join(log['missing'])}"] if log["missing"] else []
     lines += [*log["remarks"], *(f"warning: {warning}" for warning in log["warnings"])]
-    for line in lines:
-        console.print(line, highlight=False, soft_wrap=True, markup=False)
+    _print_lines(console, *lines)
 
 
 def _console() -> Any:
@@ -693,17 +696,11 @@ def _console() -> Any:
     return Console()
 
 
-def _joined(words: Sequence[str]) -> list[str]:
-    """Return a command line whose command is one word."""
-    two = " ".join(words[:2])
-    return [two, *words[2:]] if two in TWO_WORDS else list(words)
-
-
 def main() -> None:
     """Run the command line; a user's mistake ends with one line and exit code 2."""
     try:
         with completion.for_bash():
-            code = app(_joined(sys.argv[1:]), standalone_mode=False)
+            code = app(completion.as_commands(sys.argv[1:]), standalone_mode=False)
     except (KeyboardInterrupt, typer.Abort):
         raise SystemExit(130) from None
     except Exception as error:

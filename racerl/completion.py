@@ -15,6 +15,7 @@ from pathlib import Path
 from racerl.choices import choices, default_groups
 from racerl.documents import packaged
 
+TWO_WORDS = ("gap plan", "gap close", "report compare")  # commands
 BREAKS = "=:"  # of Bash's COMP_WORDBREAKS, those that racerl's words hold
 BASH = "_RACERL_COMPLETE", "complete_bash"  # what the shell's hook sets
 
@@ -50,6 +51,12 @@ def effects(incomplete: str) -> list[str]:
     return [name for name in choices("vehicle/effect") if name.startswith(incomplete)]
 
 
+def as_commands(words: list[str]) -> list[str]:
+    """Return a command line whose command is one word, perhaps with a blank in it."""
+    two = " ".join(words[:2])
+    return [two, *words[2:]] if two in TWO_WORDS else words
+
+
 def joined(words: list[str], cursor: int) -> tuple[list[str], int, int]:
     """Return words with Bash's pieces put together, the place of the one at the cursor, and how much of it is fixed."""
     whole: list[str] = []
@@ -76,6 +83,9 @@ def for_bash() -> Iterator[None]:
         return
     words = os.environ.get("COMP_WORDS", "").split("\n")
     words, at, fixed = joined(words, min(int(os.environ.get("COMP_CWORD", "0")), len(words) - 1))
+    if at > 2:
+        words = [words[0], *as_commands(words[1:])]
+        at = len(words) - 1
     os.environ["COMP_WORDS"], os.environ["COMP_CWORD"] = "\n".join(map(shlex.quote, words)), str(at)
     printed = io.StringIO()
     try:
