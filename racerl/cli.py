@@ -435,7 +435,8 @@ def _quoted(path: Path) -> str:
 
 
 def _print_lines(console: Any, *lines: str) -> None:
-    _print_lines(console, *lines)
+    for line in lines:
+        console.print(line, highlight=False, soft_wrap=True, markup=False)
 
 
 def _gap(words: Sequence[str], settings: "Settings", out: Path) -> None:
@@ -538,8 +539,7 @@ def _sweep(settings: "Settings", out: Path) -> None:
     except KeyboardInterrupt:
         console.print("interrupted; the same command goes on", highlight=False)
         raise
-    for line in conclusions.lines(facts):
-        console.print(line, highlight=False, soft_wrap=True, markup=False)
+    _print_lines(console, *conclusions.lines(facts))
     console.print(f"numbers in {out / RESULTS}, report in {draw_sweep(out)}", highlight=False, soft_wrap=True)
     if failed := facts["failed"]:
         words = "; ".join(f"{name}: {line}" for name, line in failed.items())

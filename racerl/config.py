@@ -80,7 +80,7 @@ def run_command(
         out = _shortest(Path(HydraConfig.get().runtime.output_dir))
         try:
             settings = _plain(command, config)
-            _check_values(command, settings, overrides)
+            _check_values(command, settings, list(HydraConfig.get().overrides.task))
             task(settings, out)
         except Exception as error:  # raised below: Hydra would print its own lines about it
             failures.append(error)
