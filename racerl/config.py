@@ -35,7 +35,12 @@ FILE_GROUPS = {"track": (".csv", ".yaml", ".yml"), "vehicle": (".yaml", ".yml"),
 SPOKEN = {"race": "evaluate", "compare": "report compare", "close": "gap close"}  # where the words are others
 # keys that must be given, as a user gives them
 ASKED = {"logs": "LOG…", "run": "RUN", "real": "LOG… real=FILE", "name": "SWEEP"}
-PATHS = ("logs", "run", "runs", "drivers")  # positional keys that name files or folders
+PATHS = {  # positional keys that name files or folders, and what is allowed
+    "logs": "drive logs: CSV, Parquet or a bag",
+    "run": "a training run, a drive log, paper:rl or paper:human",
+    "runs": "finished runs",
+    "drivers": "finished evaluate, drive or train runs, paper:rl or paper:human",
+}
 PAPER = "paper:"  # in place of a path: the paper's own laps
 VALUED = ("--cfg", "-c", "--info", "-i", "--package", "-p", "--config-dir", "-cd", "--config-name", "-cn")
 OPTIONS = (*VALUED, "--multirun", "-m", "--resolve", "--hydra-help", "--help")
@@ -213,7 +218,7 @@ def _require_file(group: str, value: str) -> None:
 def _bare_override(positional: str, bare: list[str]) -> str:
     for word in bare:
         if positional in PATHS and not word.startswith(PAPER) and not Path(word).exists():
-            raise ConfigError(f"{word}: no such file or folder in {Path.cwd()}; check the path")
+            raise ConfigError(f"{word}: no such file or folder in {Path.cwd()}; allowed are {PATHS[positional]}")
     if positional.endswith("s"):
         return f"{positional}=[{','.join(quote(word) for word in bare)}]"
     if len(bare) > 1:

@@ -129,7 +129,7 @@ def test_a_training_run_stands_for_its_newest_evaluation(tmp_path):
         (["paper:rl"], "1 given, two are compared"),
         (["paper:rl"] * 3, "3 given, two are compared"),
         (["paper:rl", "paper:humn"], "unknown driver 'paper:humn'; did you mean paper:human"),
-        (["paper:rl", "nowhere"], "nowhere: no such run; allowed are finished evaluate, drive or train runs, paper:rl"),
+        (["paper:rl", "nowhere"], "allowed are finished evaluate, drive or train runs, paper:rl"),
         (["paper:rl", "empty"], "is no racerl run folder"),
         (["paper:rl", "report"], "is no run that holds laps"),
         (["paper:rl", "crashed"], "crashed: finished no lap; race it for more laps"),
