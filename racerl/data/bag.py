@@ -49,6 +49,12 @@ class Stream(NamedTuple):
     value: NDArray[np.float64]
     hold: bool = False
 
+    @property
+    def rate(self) -> float:
+        """Samples per second, pauses left out; 0 for a single one."""
+        steps = np.diff(self.t)
+        return 1.0 / float(np.mean(steps[steps < 5.0 * np.median(steps)])) if len(steps) else 0.0
+
 
 def is_bag(path: Path) -> bool:
     """Return whether a path is to be read as a bag."""
@@ -278,9 +284,7 @@ def _decode(bag: Bag, layout: Layout) -> tuple[dict[str, Stream], tuple[str, ...
 
 def _source(topic: str, streams: Mapping[str, Stream]) -> str:
     """Return which channels a topic gives, and how often."""
-    t = next(iter(streams.values())).t
-    rate = f" at {1 / np.median(np.diff(t)):.0f} Hz" if len(t) > 2 else ""
-    return f"{topic}{rate}: {', '.join(streams)}"
+    return f"{topic} at {next(iter(streams.values())).rate:.0f} Hz: {', '.join(streams)}"
 
 
 def _bounded(path: Path, messages: Iterator[Any]) -> Iterator[Any]:

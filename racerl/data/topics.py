@@ -103,8 +103,8 @@ def suited(path: Path, topics: Sequence[Topic], layout: Layout) -> tuple[Layout,
 
 
 def _near(layout: Layout, topics: Sequence[Topic]) -> str:
-    """Return "; did you mean …?" when a topic is named nearly as the bag's, else nothing."""
-    named = [source.topic for sources in layout.channels.values() for source in sources]
+    """Return "; did you mean …?" when a pose's or a velocity's topic is named nearly as one of the bag's."""
+    named = [source.topic for channel in (*POSE, *VELOCITY) for source in layout.channels.get(channel, ())]
     near = [suggest(name, [topic.name for topic in topics], most=1) for name in named]
     return next((line for line in near if line.startswith("; did you mean")), "")
 
