@@ -18,6 +18,7 @@ from racerl.errors import ConfigError, RacerlError, RunError
 
 if TYPE_CHECKING:
     from racerl.config import Settings
+    from racerl.data.topics import UnmappedBag
 
 app = typer.Typer(
     name="racerl",
@@ -133,9 +134,10 @@ def report_compare(arguments: Annotated[list[str] | None, _words("A B [KEY=VALUE
 
 @app.command(context_settings=HYDRA)
 def data(arguments: Annotated[list[str] | None, _words("LOG... [KEY=VALUE]...", "data")] = None) -> None:
-    """Show what logs hold: racerl data drive.csv.gz, or racerl data bag.mcap data=ros2
+    """Show what logs hold: racerl data drive.csv.gz, or racerl data bag.mcap data=f1tenth
 
-    Channels, rates, noise, coverage, and a warning for every trap seen; writes data.json and report.html.
+    Channels, rates, noise, coverage, and a warning for every trap seen; writes data.json and report.html. A bag needs
+    no data= where a shipped mapping fits its topics; where none does, they are listed with a mapping to start from.
     """
     _run("data", arguments, partial(_data, arguments or []), positional="logs")
 
@@ -663,15 +665,32 @@ def _compare(settings: "Settings", out: Path) -> None:
 
 def _data(words: Sequence[str], settings: "Settings", out: Path) -> None:
     from racerl.data.survey import survey
+    from racerl.data.topics import UnmappedBag
     from racerl.report.log_page import draw_logs
 
     console = _console()
-    facts = survey(settings, out)
+    try:
+        facts = survey(settings, out)
+    except UnmappedBag as bag:
+        _print_topics(console, bag)
+        raise
     for log in facts["logs"]:
         _print_log(console, log)
     for warning in facts["warnings"]:
         console.print(f"warning: {warning}", highlight=False, soft_wrap=True, markup=False)
     _print_lines(console, f"report in {draw_logs(out)}", f"next: {_following('racerl identify LOG', words, out)}")
+
+
+def _print_topics(console: Any, bag: "UnmappedBag") -> None:
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table("topic", "type", "messages")
+    for topic in bag.topics:
+        table.add_row(escape(topic.name), escape(topic.kind), f"{topic.messages:,}")
+    console.print(table)
+    if bag.draft:
+        console.print(bag.draft, highlight=False, soft_wrap=True, markup=False)
 
 
 def _print_log(console: Any, log: dict[str, Any]) -> None:

@@ -1,7 +1,7 @@
 """ROS 2 bags: the topics that a layout names, decoded by `rosbags` into one stream of samples per channel.
 
 A bag is a folder, a `.db3` (sqlite3), a `.mcap`, or a `.zip` with one of these. Message definitions that a bag
-carries are never used, since decoders are generated from them: types are looked up among ROS 2's own and `DEFINITIONS`.
+carries are never used, since decoders are generated from them: types are looked up in `racerl.data.messages`.
 
 A damaged bag must not hang or fill the memory. So sizes and counts are limited, a database is checked before it is
 read, and the chunks of an MCAP file are unpacked once under a limit before the reader sees them. A third of the bags
@@ -9,7 +9,6 @@ with a flipped byte decode all the same: stamps, orientations and numbers are ch
 """
 
 import contextlib
-import functools
 import importlib
 import sqlite3
 import struct
@@ -17,6 +16,7 @@ import tempfile
 import time
 import zipfile
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,8 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from racerl.data.layout import Layout, Source
+from racerl.data.messages import typestore
+from racerl.data.topics import Topic, found
 from racerl.documents import read_yaml
-from racerl.errors import DocumentError, LogError, suggest
+from racerl.errors import DocumentError, LogError, RacerlError, suggest
 
 STORAGES = (".db3", ".mcap")
 MAX_BYTES = 4 * 1024**3  # of a bag's storage files together
@@ -39,24 +41,6 @@ BAD_SHARE = 0.01  # of a channel's samples that may be implausible before the ba
 NORM = 0.02  # by which an orientation's length may differ from one
 CLOCK = 3600.0  # s that a message's own stamp may differ from the bag's, relative to their median difference
 
-# layouts of messages that ROS 2 does not bring along: names and types in their order on the wire
-DEFINITIONS = {
-    "ackermann_msgs/msg/AckermannDrive": "float32 steering_angle\nfloat32 steering_angle_velocity\nfloat32 speed\n"
-    "float32 acceleration\nfloat32 jerk",
-    "ackermann_msgs/msg/AckermannDriveStamped": "std_msgs/Header header\nackermann_msgs/AckermannDrive drive",
-    "vesc_msgs/msg/VescState": "\n".join(
-        [
-            *(f"float64 {name}" for name in ("temp_fet", "temp_motor", "current_motor", "current_input")),
-            *(f"float64 {name}" for name in ("avg_id", "avg_iq", "duty_cycle", "speed", "voltage_input")),
-            *(f"float64 {name}" for name in ("charge_drawn", "charge_regen", "energy_drawn", "energy_regen")),
-            *(f"int32 {name}" for name in ("displacement", "distance_traveled", "fault_code")),
-            "float64 pid_pos_now\nint32 controller_id",
-            *(f"float64 {name}" for name in ("ntc_temp_mos1", "ntc_temp_mos2", "ntc_temp_mos3", "avg_vd", "avg_vq")),
-        ]
-    ),
-    "vesc_msgs/msg/VescStateStamped": "std_msgs/Header header\nvesc_msgs/VescState state",
-}
-
 
 class Stream(NamedTuple):
     """One channel on its own clock: stamps in s, increasing, and values."""
@@ -65,25 +49,58 @@ class Stream(NamedTuple):
     value: NDArray[np.float64]
     hold: bool = False
 
+    @property
+    def rate(self) -> float:
+        """Samples per second, pauses left out; 0 for a single one."""
+        steps = np.diff(self.t)
+        return 1.0 / float(np.mean(steps[steps < 5.0 * np.median(steps)])) if len(steps) else 0.0
+
 
 def is_bag(path: Path) -> bool:
     """Return whether a path is to be read as a bag."""
     return path.is_dir() or path.suffix.lower() in (*STORAGES, ".zip")
 
 
-def read_streams(path: Path, layout: Layout) -> tuple[dict[str, Stream], tuple[str, ...]]:
-    """Return the layout's channels that the bag has, and remarks; raise LogError, one line, for a damaged bag."""
+@dataclass(frozen=True)
+class Bag:
+    """A bag whose storage has been checked, open to be read."""
+
+    path: Path
+    files: tuple[Path, ...]
+    topics: tuple[Topic, ...]
+
+    def read(self, layout: Layout) -> tuple[dict[str, Stream], tuple[str, ...]]:
+        """Return the layout's channels that the bag has, and remarks."""
+        return _decode(self, layout)
+
+
+@contextlib.contextmanager
+def open_bag(path: Path) -> Iterator[Bag]:
+    """Open a bag; raise LogError, one line, for a damaged one, also while it is read."""
     with contextlib.ExitStack() as stack:
-        files = [file for file in _storage_files(path, stack) if _check_storage(path, file)]
+        files = tuple(file for file in _storage_files(path, stack) if _check_storage(path, file))
         try:
-            return _decode(path, files, layout)
-        except LogError:
+            yield Bag(path, files, _topics(files))
+        except RacerlError:
             raise
         except MemoryError as error:
             raise LogError(f"{path}: does not fit into memory; cut the bag") from error
         except Exception as error:  # on damaged bytes the decoder may raise anything
             detail = " ".join(str(error).split())[:160] or type(error).__name__
             raise LogError(f"{path}: cannot be decoded ({detail}); is the bag complete?") from error
+
+
+def _topics(files: tuple[Path, ...]) -> tuple[Topic, ...]:
+    """Return the topics of all files together, by name."""
+    from rosbags.rosbag2 import Reader
+
+    counts: dict[tuple[str, str], int] = {}
+    for file in files:
+        with Reader(file) as reader:
+            for connection in reader.connections:
+                key = (connection.topic, connection.msgtype)
+                counts[key] = counts.get(key, 0) + connection.msgcount
+    return tuple(Topic(*key, count) for key, count in sorted(counts.items()))
 
 
 def _storage_files(path: Path, stack: contextlib.ExitStack) -> list[Path]:
@@ -230,16 +247,6 @@ def _zstd() -> Any:
         return importlib.import_module("backports.zstd")
 
 
-@functools.lru_cache(maxsize=1)
-def _typestore() -> Any:
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    for name, text in DEFINITIONS.items():
-        store.register(get_types_from_msg(text, name))
-    return store
-
-
 class _Samples:
     """What has been decoded of one topic: stamps and, per channel, values."""
 
@@ -250,30 +257,34 @@ class _Samples:
         self.values: dict[str, list[float]] = {channel: [] for channel in sources}
 
 
-def _decode(path: Path, files: list[Path], layout: Layout) -> tuple[dict[str, Stream], tuple[str, ...]]:
+def _decode(bag: Bag, layout: Layout) -> tuple[dict[str, Stream], tuple[str, ...]]:
     from rosbags.rosbag2 import Reader
 
-    found: dict[str, _Samples] = {}
-    remarks: list[str] = []
-    for file in files:
+    path = bag.path
+    chosen, remarks = _choose(bag, layout)
+    for file in bag.files:
         with Reader(file) as reader:
-            kinds = {connection.topic: connection.msgtype for connection in reader.connections}
-            if not found:
-                found, remarks = _choose(path, kinds, layout)
-            wanted = [connection for connection in reader.connections if connection.topic in found]
+            wanted = [connection for connection in reader.connections if connection.topic in chosen]
             count = sum(connection.msgcount for connection in wanted)
             if count > MAX_MESSAGES:
                 raise LogError(f"{path}: {count} messages on the mapped topics, at most {MAX_MESSAGES}; split the bag")
             for connection, received, raw in _bounded(path, reader.messages(wanted) if wanted else iter(())):
-                _append(path, found[connection.topic], connection, received, raw)
+                _append(path, chosen[connection.topic], connection, received, raw)
     streams: dict[str, Stream] = {}
-    for topic, samples in found.items():
-        for channel, stream in _streams(path, topic, samples, layout.time.stamp, remarks):
-            streams[channel] = stream
+    sources = []
+    for topic, samples in chosen.items():
+        fresh = dict(_streams(path, topic, samples, layout.time.stamp, remarks))
+        streams |= fresh
+        sources += [_source(topic, fresh)] if fresh else []
     if not streams:
         raise LogError(f"{path}: its mapped topics hold no message")
     ordered = {channel: streams[channel] for channel in layout.channels if channel in streams}
-    return ordered, tuple(remarks)
+    return ordered, (f"from {'; '.join(sources)}", *remarks)
+
+
+def _source(topic: str, streams: Mapping[str, Stream]) -> str:
+    """Return which channels a topic gives, and how often."""
+    return f"{topic} at {next(iter(streams.values())).rate:.0f} Hz: {', '.join(streams)}"
 
 
 def _bounded(path: Path, messages: Iterator[Any]) -> Iterator[Any]:
@@ -283,35 +294,28 @@ def _bounded(path: Path, messages: Iterator[Any]) -> Iterator[Any]:
         yield message
 
 
-def _choose(path: Path, kinds: Mapping[str, str], layout: Layout) -> tuple[dict[str, _Samples], list[str]]:
-    """Return the topics to read, each with the channels it feeds; raise LogError when there is none."""
+def _choose(bag: Bag, layout: Layout) -> tuple[dict[str, _Samples], list[str]]:
+    """Return the topics to read, each with the channels it feeds; raise LogError for types that are not known."""
+    sources, kinds = found(layout, bag.topics), {topic.name: topic.kind for topic in bag.topics}
     topics: dict[str, dict[str, Source]] = {}
-    remarks = []
-    for channel, sources in layout.channels.items():
-        source = next((source for source in sources if source.topic in kinds), None)
-        if source is None:
-            remarks.append(f"no topic for {channel}: untestable")
-        else:
-            topics.setdefault(source.topic, {})[channel] = source
-    if not topics:
-        named = [source.topic for sources in layout.channels.values() for source in sources]
-        have = ", ".join(f"{topic} ({kind.rsplit('/', 1)[-1]})" for topic, kind in sorted(kinds.items())[:20])
-        raise LogError(
-            f"{path}: has none of the mapped topics; it holds {have or 'no topic'}{suggest(named[0], kinds, most=1)}"
-        )
+    for channel, source in sources.items():
+        topics.setdefault(source.topic, {})[channel] = source
     for topic in topics:
-        if kinds[topic] not in _typestore().fielddefs:
-            raise LogError(f"{path}: {topic} is of the type {kinds[topic]}, which is not known here; leave it out")
+        if kinds[topic] not in typestore().fielddefs:
+            raise LogError(f"{bag.path}: {topic} is of the type {kinds[topic]}, which is not known here; leave it out")
+    remarks = [f"no topic for {channel}: untestable" for channel in layout.channels if channel not in sources]
     return {topic: _Samples(channels) for topic, channels in topics.items()}, remarks
 
 
 def _append(path: Path, samples: _Samples, connection: Any, received: int, raw: bytes) -> None:
     if len(raw) > MAX_MESSAGE_BYTES:
         raise LogError(f"{path}: a message of {len(raw)} bytes on {connection.topic}; the bag is damaged")
-    message = _typestore().deserialize_cdr(raw, connection.msgtype)
+    message = typestore().deserialize_cdr(raw, connection.msgtype)
     samples.received.append(received * 1e-9)
     stamp = getattr(getattr(message, "header", None), "stamp", None)
-    samples.stamped.append(stamp.sec + stamp.nanosec * 1e-9 if stamp is not None else received * 1e-9)
+    # many a node publishes its commands with an empty stamp
+    stamped = stamp.sec + stamp.nanosec * 1e-9 if stamp is not None else 0.0
+    samples.stamped.append(stamped or received * 1e-9)
     for channel, source in samples.sources.items():
         samples.values[channel].append(_number(path, message, channel, source))
 
@@ -342,6 +346,9 @@ def _streams(path: Path, topic: str, samples: _Samples, stamp: str, remarks: lis
         return
     with np.errstate(all="ignore"):
         values = {c: samples.sources[c].convert(np.array(raw)) for c, raw in samples.values.items()}
+        empty = [channel for channel, value in values.items() if np.isnan(value).all()]
+        remarks += [f"{channel} on {topic} is no number in any message: untestable" for channel in empty]
+        values = {channel: value for channel, value in values.items() if channel not in empty}
         late = t - received
         good = np.isfinite(t) & (np.abs(late - np.median(late)) < CLOCK)
         for value in values.values():

@@ -5,9 +5,12 @@ field, and how its numbers become the channel's unit:
 
     value = scale · raw + offset,   or the straight lines through `points` [[raw, value], …], held outside them.
 
+A name alone is a topic when it begins with a slash, else a column; a list says where to look first. Where no field is
+named, the type of the topic's messages says where the channel stands (`racerl.data.messages`). All else has a default.
+
 frame     the tracked point seen from the centre of gravity: forward, left in m; yaw in rad is added to the heading
 shift     seconds added to the time stamps of a channel before it is sampled beside the others
-resample  rate in Hz of the log; null keeps the file's own samples
+resample  rate in Hz of the log; null keeps a table's own samples, and is 100 Hz for a bag, whose topics have own clocks
 gap       longest pause in s between samples of one run
 velocities  given: as the file has them; poses: differentiated from the poses even so
 savgol    window (samples, odd) and order of the filter that differentiates poses where velocities are absent
@@ -40,7 +43,7 @@ class Source:
 
     column: str = ""
     topic: str = ""
-    field: str = "data"
+    field: str = ""  # of a topic's messages; empty: the channel's usual one
     scale: float = 1.0
     offset: float = 0.0
     points: tuple[tuple[float, float], ...] = ()
@@ -146,7 +149,8 @@ def _channels(settings: Any) -> dict[str, tuple[Source, ...]]:
 
 
 def _source(channel: str, where: str, entry: Any) -> Source:
-    settings = dict(_mapping(where, entry))
+    named = {"topic" if entry.startswith("/") else "column": entry} if isinstance(entry, str) else entry
+    settings = dict(_mapping(where, named))
     settings.setdefault("hold", channel in COMMANDS)
     settings["points"] = _points(f"{where}.points", settings.get("points") or ())
     source = construct(Source, settings, where)

@@ -23,10 +23,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from racerl.data.bag import Stream, is_bag, read_streams
+from racerl.data.bag import Stream, is_bag, open_bag
 from racerl.data.differentiate import velocities
 from racerl.data.layout import Layout, Source, read_layout
 from racerl.data.log import CHANNELS, POSE, VELOCITY, Log, sample_time
+from racerl.data.topics import suited
 from racerl.documents import conf_folder, read_yaml
 from racerl.errors import LogError, RacerlError, suggest
 
@@ -36,6 +37,10 @@ MAX_HEADER_BYTES = 64 * 1024
 MAX_COLUMNS = 1000
 MAX_ROWS = 5_000_000
 MAX_CELLS = 64_000_000  # rows times columns
+BAG_RATE = 100.0  # Hz of a bag's log where the mapping names none
+SLOW_POSE = 30.0  # Hz below which velocities from poses miss what a car does
+CREEP, BEND = 1e-3, 1e-4  # m and rad between samples, below which nothing is told of a pose
+EXACT = 1e-3  # of the way; by so little a reckoned pose leaves its heading, a measured one by its slip, lever or noise
 EPOCH = 1e6  # s; later times are clock times, and counted from the first sample
 SAME = 1e-6  # s within which two stamps are one; clock times are known to 2e-7 s
 # a pose's sample is a spike when it lies further off the line between its neighbours than this acceleration and step,
@@ -76,12 +81,14 @@ def load_log(path: Path, layout: Layout) -> Log:
     if not path.exists():
         raise LogError(f"{path}: no such file; give a log ({', '.join(TABLES)}) or a ROS 2 bag (folder, .db3, .mcap)")
     if is_bag(path):
-        if not layout.of_bag:
-            raise LogError(f"{path}: is a bag, but its mapping names no topics; give data=ros2")
-        streams, remarks = read_streams(path, layout)
+        with open_bag(path) as bag:
+            layout, remarks = suited(path, bag.topics, layout)
+            streams, more = bag.read(layout)
         streams, spikes = _without_spikes(path.name, streams)
         pieces = _cut_streams(path.name, streams, layout)
-        return _assemble(path.name, pieces, layout, layout.resample, (*remarks, *_spike_remark(spikes)))
+        said = (*remarks, *more, *_slow_pose(streams), *_spike_remark(spikes))
+        log = _assemble(path.name, pieces, layout, layout.resample or BAG_RATE, said)
+        return replace(log, reckoned=_is_reckoned(streams))
     if layout.of_bag:
         raise LogError(f"{path}: is no bag, but its mapping names topics{_likely(_columns(read_table(path)))}")
     table, remarks = _named(path, read_table(path), layout)
@@ -263,6 +270,31 @@ def _cut_table(name: str, table: pd.DataFrame, layout: Layout) -> tuple[list[Pie
         spikes += count
         pieces.append(Piece(None if runs is None else runs[start], t[start:stop], streams))
     return pieces, (*remarks, *_spike_remark(spikes))
+
+
+def _slow_pose(streams: Mapping[str, Stream]) -> tuple[str, ...]:
+    """Say so when velocities would be made from poses that come too seldom."""
+    rate = min((streams[channel].rate for channel in POSE if channel in streams), default=SLOW_POSE)
+    if rate >= SLOW_POSE:
+        return ()
+    return (f"the pose comes {rate:.0f} times per second, too seldom for the velocities made from it; 40 are needed",)
+
+
+def _is_reckoned(streams: Mapping[str, Stream]) -> bool:
+    """Return whether the pose always moves exactly along its heading (before, after or halfway), as no car's does."""
+    if not all(channel in streams and np.array_equal(streams[channel].t, streams["x"].t) for channel in POSE):
+        return False
+    x, y, yaw = (streams[channel].value for channel in POSE)
+    dx, dy, turn = np.diff(x), np.diff(y), np.diff(np.unwrap(yaw))
+    told = (np.hypot(dx, dy) > CREEP) & (np.abs(turn) > BEND)
+    if told.sum() < 50:
+        return False
+    aside = [
+        np.abs(dy * np.cos(yaw[:-1] + share * turn) - dx * np.sin(yaw[:-1] + share * turn))
+        / np.hypot(dx, dy).clip(CREEP)
+        for share in (0.0, 0.5, 1.0)
+    ]
+    return min(float(np.median(way[told])) for way in aside) < EXACT
 
 
 def _spike_remark(spikes: int) -> tuple[str, ...]:

@@ -46,12 +46,14 @@ class Log:
 
     `table` has the columns t, run and the channels that were measured, sorted by run in order of appearance and by
     time. `dt` is the sample time in s. `remarks` says, a line each, what was done to the file's content on the way in.
+    `reckoned` says that the poses are no measurement: somebody has made them of the wheel's speed and a heading.
     """
 
     name: str
     table: pd.DataFrame
     dt: float
     remarks: tuple[str, ...] = ()
+    reckoned: bool = False
 
     @classmethod
     def from_table(cls, name: str, table: pd.DataFrame, remarks: tuple[str, ...] = ()) -> "Log":

@@ -19,6 +19,7 @@ from racerl.assemble import Car, build_track
 from racerl.data.differentiate import velocities
 from racerl.documents import write_bytes, write_yaml
 from racerl.errors import ConfigError
+from racerl.record.bag import encode_bag
 from racerl.record.drivers import Drive, Measured, Pose, Scene, create_driver
 from racerl.record.hidden import Hidden
 from racerl.record.sensors import Sensors
@@ -30,7 +31,7 @@ from racerl.vehicle.load import load_vehicle, vehicle_document
 from racerl.vehicle.vehicle import STATE, Vehicle
 
 VEHICLE = "vehicle.yaml"
-FORMATS = (".parquet", ".csv", ".csv.gz")
+FORMATS = (".parquet", ".csv", ".csv.gz", ".mcap")
 MOVING = 1.0  # m/s above which slips are told
 
 
@@ -105,7 +106,9 @@ def record(
     recording = plan.drive(on_progress)
     log = table(recording, **settings["smoothing"])
     write_yaml(folder.path / VEHICLE, plan.document)
-    write_bytes(folder.path / settings["file"], encode(log, settings["file"]))
+    bag = settings["file"].endswith(".mcap")
+    content = encode_bag(log, float(plan.vehicle.wheelbase)) if bag else encode(log, settings["file"])
+    write_bytes(folder.path / settings["file"], content)
     facts = {"rows": len(log), "runs": int(log["run"].nunique()), **excitation(plan.vehicle, recording)}
     folder.finish(log=settings["file"], **facts)
     return facts

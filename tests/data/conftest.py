@@ -81,9 +81,9 @@ def write_bag(
     """
     from rosbags.rosbag2 import StoragePlugin, Writer
 
-    from racerl.data.bag import _typestore
+    from racerl.data.messages import typestore
 
-    store = _typestore()
+    store = typestore()
     types = store.types
     plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
 
