@@ -7,7 +7,11 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 for library in ("OMP", "OPENBLAS", "MKL"):
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
 
+import logging
+import sys
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import hypothesis
@@ -15,6 +19,7 @@ import pytest
 import torch
 
 from racerl.assemble import build_track, conf_folder
+from racerl.cli import main
 from racerl.config import compose_settings
 from racerl.evaluate.evaluate import evaluate
 from racerl.train.train import train
@@ -28,6 +33,25 @@ hypothesis.settings.load_profile("racerl")
 @pytest.fixture(autouse=True)
 def _one_thread() -> None:
     torch.set_num_threads(1)
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Any]:
+    """Run racerl in this process and an empty folder; return exit status and what it printed."""
+
+    def called(*words: str) -> SimpleNamespace:
+        monkeypatch.setattr(sys, "argv", ["racerl", *words])
+        monkeypatch.chdir(tmp_path)
+        handlers, threads = logging.root.handlers[:], torch.get_num_threads()
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as ended:
+            main()
+        logging.root.handlers[:] = handlers  # a command sets up logging of its own
+        torch.set_num_threads(threads)
+        printed = capsys.readouterr()
+        return SimpleNamespace(returncode=ended.value.code, stdout=printed.out, stderr=printed.err)
+
+    return called
 
 
 @pytest.fixture(scope="session")

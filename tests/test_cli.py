@@ -1,7 +1,6 @@
 """The command line as a user meets it: in this process, or in one of its own where the process is what counts."""
 
 import json
-import logging
 import os
 import pty
 import select
@@ -10,44 +9,16 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
 import racerl
-from racerl.cli import _following, app, main
+from racerl.cli import _following, app
 from racerl.completion import TWO_WORDS
 from racerl.config import compose_settings, gather_words
 
 PROGRAM = [sys.executable, "-m", "racerl.cli"]
 ROOT = Path(racerl.__file__).parent.parent
-
-
-@pytest.fixture
-def run(tmp_path, monkeypatch, capsys):
-    """Run racerl in an empty folder; return exit status and what it printed."""
-
-    def called(*words):
-        monkeypatch.setattr(sys, "argv", ["racerl", *words])
-        monkeypatch.chdir(tmp_path)
-        handlers, threads = logging.root.handlers[:], torch_threads()
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as ended:
-            main()
-        logging.root.handlers[:] = handlers  # a command sets up logging of its own
-        import torch
-
-        torch.set_num_threads(threads)
-        printed = capsys.readouterr()
-        return SimpleNamespace(returncode=ended.value.code, stdout=printed.out, stderr=printed.err)
-
-    return called
-
-
-def torch_threads():
-    import torch
-
-    return torch.get_num_threads()
 
 
 def process(*words, cwd, **environment):
@@ -105,7 +76,15 @@ def test_data(tmp_path, run):
 def test_warnings_reach_the_user(tmp_path):
     """Without a compiler on the PATH the simulator falls back to torch, and one line says so."""
     environment = {"PYTHONPATH": str(ROOT), "PATH": "/nowhere", "HOME": str(tmp_path), "OMP_NUM_THREADS": "1"}
-    words = ["train", "budget=smoke", "budget.steps=1024", "out=run"]
+    words = [
+        "train",
+        "budget=smoke",
+        "budget.cars=4",
+        "budget.rollout=8",
+        "budget.batch=32",
+        "budget.steps=32",
+        "out=run",
+    ]
     done = subprocess.run(
         [*PROGRAM, *words], cwd=tmp_path, capture_output=True, text=True, timeout=120, env=environment
     )

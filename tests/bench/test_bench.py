@@ -9,6 +9,7 @@ from racerl.errors import ConfigError, RunError
 from racerl.report.figures import cost
 
 
+@pytest.mark.slow
 def test_identify(tmp_path):
     words = ["identify", "seconds=24", "shorter=[12]", "passes=2"]
     words = ["threads=1", *(f"benchmark{'.' if '=' in word else '='}{word}" for word in words)]

@@ -2,10 +2,13 @@
 
 import json
 
+import pytest
+
 from racerl.bench.bench import bench
 from racerl.config import compose_settings
 
 
+@pytest.mark.slow
 def test_steps_are_timed_and_plans_agree_with_ipopt(tmp_path):
     words = ["benchmark=mpc", "benchmark.steps=60", "benchmark.states=2"]
     facts = bench(compose_settings("bench", words), tmp_path / "b", compose_settings)

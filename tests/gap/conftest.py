@@ -17,7 +17,7 @@ from racerl.vehicle.load import load_vehicle
 from racerl.vehicle.vehicle import Vehicle
 
 
-def drive(*overrides: str, seconds: float = 90.0) -> Log:
+def drive(*overrides: str, seconds: float = 60.0) -> Log:
     """Return what the sensors of a car show of the excitation programme."""
     settings = compose_settings("record", ["vehicle=published", f"seconds={seconds}", *overrides])
     return Log.from_table("drive", table(Plan.of(settings).drive(), **settings["smoothing"]))

@@ -388,6 +388,7 @@ def test_a_small_effect_beside_a_large_one_is_named(monkeypatch):
         "+vehicle/effect=[steering_offset,steering_gain]",
         "vehicle.effects.steering_offset.offset=0.08",
         "vehicle.effects.steering_gain.gain=0.92",
+        seconds=90.0,
     )
     decision = name_effects(investigate(log, "steering_offset", "steering_gain", "steering_saturation"), 0)
     assert decision.chosen == ["steering_offset", "steering_gain"] and decision.rounds[1][0].worth < 0.06
@@ -396,7 +397,8 @@ def test_a_small_effect_beside_a_large_one_is_named(monkeypatch):
 
 @needs_compiler
 def test_what_is_left_by_a_name_is_excused_only_where_sensors_were_filtered(monkeypatch):
-    log = drive("+vehicle/effect=[steering_offset,viscous_drag]", "vehicle.effects.viscous_drag.coefficient=8.0")
+    words = ["+vehicle/effect=[steering_offset,viscous_drag]", "vehicle.effects.viscous_drag.coefficient=8.0"]
+    log = drive(*words, seconds=90.0)
     investigation = investigate(log, "viscous_drag")
     decision = name_effects(investigation, 0)
     monkeypatch.setattr("racerl.gap.verdict.COARSE", 0.1)
