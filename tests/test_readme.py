@@ -8,6 +8,7 @@ import pytest
 from PIL import Image
 
 from racerl.cli import app
+from racerl.completion import TWO_WORDS
 from racerl.documents import conf_folder
 from racerl.track.load import read_track
 
@@ -16,7 +17,8 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 FOLDERS = ("outputs/reference", "racerl", "conf", "sweeps", "tests")
 PAGES = [ROOT / "README.md", *sorted(page for folder in FOLDERS for page in (ROOT / folder).rglob("*.md"))]
 BLOCKS = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
-COMMANDS = {command.name or command.callback.__name__ for command in app.registered_commands if command.callback}
+NAMES = {command.name or command.callback.__name__ for command in app.registered_commands if command.callback}
+COMMANDS = NAMES - set(TWO_WORDS)
 
 
 def anchors(page):
@@ -54,6 +56,7 @@ def test_commands_exist(page):
 
 def test_every_command_is_in_the_readme():
     assert set(re.findall(r"^racerl ([a-z]+)", README, re.MULTILINE)) == COMMANDS
+    assert all(command in README for command in TWO_WORDS)
 
 
 def test_choices_exist():
