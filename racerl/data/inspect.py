@@ -47,8 +47,8 @@ REPEATED = 1.0  # s of identical rows that count as doubled driving
 BINS = 24  # of a coverage histogram
 SLIP_SCALES = (0.05, 0.15, 0.5)  # rad, of the saturating functions
 RECKONED = (
-    "the pose is reckoned from wheel and steering command: it shows no slip, has no v_y of its own and holds nothing of "
-    "the tyres; record a measured one, by motion capture or a particle filter at 40 Hz or more"
+    "the pose is reckoned from wheel and steering command: it shows no slip, has no v_y of its own and holds nothing "
+    "of the tyres; record a measured one, by motion capture or a particle filter at 40 Hz or more"
 )
 GAIN = 0.02  # by which a shift must raise the explained share to be believed
 
