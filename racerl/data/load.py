@@ -76,6 +76,17 @@ def load_given(settings: Mapping[str, Any]) -> list[Log]:
     return load_logs(paths, settings["data"])
 
 
+def load_measured(settings: Mapping[str, Any]) -> list[Log]:
+    """Return the logs as `load_given`; raise LogError for poses that somebody made of wheel and steering command."""
+    logs = load_given(settings)
+    if reckoned := [log.name for log in logs if log.reckoned]:
+        raise LogError(
+            f"{', '.join(reckoned)}: the pose is reckoned from wheel and steering command and holds nothing of the "
+            "tyres; record a measured one (motion capture, a particle filter); racerl data shows what the log holds"
+        )
+    return logs
+
+
 def load_log(path: Path, layout: Layout) -> Log:
     """Read one file through a layout."""
     if not path.exists():
@@ -84,11 +95,12 @@ def load_log(path: Path, layout: Layout) -> Log:
         with open_bag(path) as bag:
             layout, remarks = suited(path, bag.topics, layout)
             streams, more = bag.read(layout)
+        reckoned = _is_reckoned(streams)
         streams, spikes = _without_spikes(path.name, streams)
         pieces = _cut_streams(path.name, streams, layout)
         said = (*remarks, *more, *_slow_pose(streams), *_spike_remark(spikes))
         log = _assemble(path.name, pieces, layout, layout.resample or BAG_RATE, said)
-        return replace(log, reckoned=_is_reckoned(streams))
+        return replace(log, reckoned=reckoned)
     if layout.of_bag:
         raise LogError(f"{path}: is no bag, but its mapping names topics{_likely(_columns(read_table(path)))}")
     table, remarks = _named(path, read_table(path), layout)

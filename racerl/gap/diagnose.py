@@ -11,7 +11,7 @@ import yaml
 
 from racerl import bounds
 from racerl.data.inspect import inspect
-from racerl.data.load import load_given
+from racerl.data.load import load_measured
 from racerl.data.log import POSE, Log
 from racerl.documents import conf_folder, write_json, write_text
 from racerl.gap import residual
@@ -53,7 +53,7 @@ def gap(settings: Mapping[str, Any], out: Path, on_progress: OnProgress = lambda
     began = time.perf_counter()
     check(settings)
     vehicle = load_vehicle(settings["vehicle"])
-    logs = load_given(settings)
+    logs = load_measured(settings)
     folder = RunFolder.start(out, "gap", settings, seed=settings["seed"], threads=settings["threads"])
     on_progress("refitting the vehicle", 0.0)
     evidence = cut(logs, settings)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from racerl.data.load import load_given
+from racerl.data.load import load_measured
 from racerl.data.log import Log
 from racerl.documents import write_json
 from racerl.errors import LogError
@@ -39,7 +39,7 @@ def plan(
     """
     check(settings)
     vehicle = load_vehicle(settings["vehicle"])
-    logs = load_given(settings) if settings["logs"] else [programme(settings, compose)]
+    logs = load_measured(settings) if settings["logs"] else [programme(settings, compose)]
     evidence = cut(logs, settings)
     if not evidence:
         raise LogError("the logs hold no stretch of driving long enough to compare; give longer ones")

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from racerl import bounds
 from racerl.assemble import use_threads
 from racerl.data.inspect import compare, inspect
-from racerl.data.load import load_given
+from racerl.data.load import load_measured
 from racerl.data.log import CHANNELS, separate
 from racerl.documents import write_json, write_parquet
 from racerl.errors import ConfigError, LogError
@@ -55,7 +55,7 @@ def identify(
     use_threads(settings["threads"])
     began = time.perf_counter()
     configured = load_vehicle(settings["vehicle"])
-    logs, warnings = separate(load_given(settings))
+    logs, warnings = separate(load_measured(settings))
     warnings += compare(logs)
     for log in logs:
         warnings += [f"{log.name}: {warning}" for warning in inspect(log, float(configured.wheelbase))["warnings"]]

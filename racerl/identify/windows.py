@@ -62,11 +62,6 @@ def choose_wiring(logs: Sequence[Log], inputs: str = "auto") -> Wiring:
         raise LogError(
             f"{names}: {', '.join(missing)} missing; velocities come from x, y, yaw or are channels themselves"
         )
-    if reckoned := [log.name for log in logs if log.reckoned]:
-        raise LogError(
-            f"{', '.join(reckoned)}: the pose is reckoned from wheel and steering command, so nothing of the tyres is "
-            "in it; record a measured one (motion capture, a particle filter); racerl data shows what the log holds"
-        )
     chosen = []
     for state, command in ACTUATORS:
         wanted = {"auto": (command, state), "commands": (command,), "measured": (state,)}[inputs]
