@@ -50,11 +50,12 @@ def test_advantages_are_those_of_stable_baselines3():
     draw = np.random.default_rng(0)
     rewards, values = draw.normal(size=(2, steps, cars)).astype(np.float32)
     done = draw.random((steps + 1, cars)) < 0.2
-    buffer.rewards, buffer.values, buffer.episode_starts = rewards, values, done[:-1].astype(np.float32)
+    to_come = (draw.random((steps, cars)) * done[1:]).astype(np.float32)  # where episodes were cut off
+    buffer.rewards, buffer.values, buffer.episode_starts = rewards + to_come, values, done[:-1].astype(np.float32)
     last = draw.normal(size=cars).astype(np.float32)
     buffer.compute_returns_and_advantage(torch.tensor(last), done[-1])
     rollout.rewards[:], rollout.values[:] = torch.tensor(rewards), torch.tensor(values)
-    rollout.ended[:] = torch.tensor(done[1:]).float()
+    rollout.ended[:], rollout.cut_off[:] = torch.tensor(done[1:]).float(), torch.tensor(to_come)
     rollout.estimate(torch.tensor(last), gamma=0.97, gae_lambda=0.9)
     assert np.allclose(rollout.advantages.numpy(), buffer.advantages, atol=1e-5)
     assert np.allclose(rollout.returns.numpy(), buffer.returns, atol=1e-5)
