@@ -41,14 +41,14 @@ def encode_bag(log: pd.DataFrame, wheelbase: float) -> bytes:
         writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
         with writer:
             connections: dict[str, Any] = {}
-            for topic, kind, stamp, message in _messages(log, wheelbase, store.types):
+            for topic, kind, stamp, message in messages(log, wheelbase, store.types):
                 if topic not in connections:
                     connections[topic] = writer.add_connection(topic, kind, typestore=store)
                 writer.write(connections[topic], stamp, store.serialize_cdr(message, kind))
         return next((Path(folder) / "bag").glob("*.mcap")).read_bytes()
 
 
-def _messages(log: pd.DataFrame, wheelbase: float, types: Any) -> Iterator[tuple[str, str, int, Any]]:
+def messages(log: pd.DataFrame, wheelbase: float, types: Any) -> Iterator[tuple[str, str, int, Any]]:
     """Yield (topic, type, stamp in ns, message) in the order of time."""
     pauses = PAUSE * log["run"].diff().ne(0).cumsum().sub(1)
     stamps = START * 1_000_000_000 + np.round((log["t"] + pauses).to_numpy() * 1e6).astype(np.int64) * 1000

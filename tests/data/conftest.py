@@ -1,6 +1,6 @@
 """Logs to read: simulated ones that are clean, small bags, and the measured ones where they are at hand."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -131,3 +131,31 @@ def write_bag(
                 raw = store.serialize_cdr(message, kinds[topic])
                 writer.write(connections[topic], round(t * 1e9), raw)
     return next(path for path in folder.iterdir() if path.suffix in (".db3", ".mcap"))
+
+
+Renamed = Mapping[str, str]
+
+
+def write_topics(folder: Path, log: pd.DataFrame, names: Renamed, spoil: Callable[..., None] | None = None) -> Path:
+    """Write the recorder's messages of a log under the names given for its topics, the others left out; return the bag.
+
+    `spoil(topic, message)` may change a message.
+    """
+    from rosbags.rosbag2 import StoragePlugin, Writer
+
+    from racerl.data.messages import typestore
+    from racerl.record.bag import messages
+
+    store = typestore()
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connections: dict[str, Any] = {}
+        for topic, kind, stamp, message in messages(log, 0.33, store.types):
+            for old, new in names.items():
+                if old != topic:
+                    continue
+                if spoil:
+                    spoil(topic, message)
+                if new not in connections:
+                    connections[new] = writer.add_connection(new, kind, typestore=store)
+                writer.write(connections[new], stamp, store.serialize_cdr(message, kind))
+    return folder

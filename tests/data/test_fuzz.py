@@ -1,6 +1,6 @@
 """Damaged logs, made up by the thousand: a log comes out or a typed error in one line, within two seconds.
 
-At least 2,000 cases: 900 damaged tables, 500 spoilt ones, 300 of arbitrary bytes, 800 damaged bags, 100 zips of them.
+At least 2,000 cases: 900 damaged tables, 500 spoilt ones, 300 of arbitrary bytes, 950 damaged bags, 100 zips of them.
 """
 
 import io
@@ -19,6 +19,7 @@ from racerl.data.inspect import inspect
 from racerl.data.load import load_logs
 from racerl.data.log import CHANNELS, Log
 from racerl.errors import RacerlError
+from racerl.record.bag import encode_bag
 from tests.conftest import CONF
 from tests.data.conftest import mapping, write_bag
 
@@ -44,6 +45,7 @@ def files(small, tmp_path_factory) -> dict[str, bytes]:
     made[".parquet"] = (folder / "a.parquet").read_bytes()
     made[".db3"] = write_bag(folder / "sqlite", 14).read_bytes()
     made[".mcap"] = write_bag(folder / "mcap", 14, "mcap").read_bytes()
+    made["stock"] = encode_bag(small.iloc[:14], 0.33)
     return made
 
 
@@ -171,6 +173,12 @@ def test_spoilt_tables(small, suffix, spoils, seed, posed):
 @given(st.sampled_from([".db3", ".mcap"]), DAMAGE)
 def test_damaged_bags(files, suffix, damage):
     attempt(suffix, damaged(files[suffix], damage), "ros2")
+
+
+@fuzz(150)
+@given(DAMAGE, st.sampled_from(["f1tenth", "drive_log"]))
+def test_damaged_bags_of_the_stock_system(files, damage, name):
+    attempt(".mcap", damaged(files["stock"], damage), name)
 
 
 @fuzz(100)

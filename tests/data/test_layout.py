@@ -25,6 +25,13 @@ def test_keys_can_be_set():
     assert layout.shift["delta_ref"] == 0.05 and layout.savgol.window == 15
 
 
+def test_a_name_alone_is_a_topic_or_a_column():
+    layout = read_layout({"channels": {"x": ["/pose", {"topic": "/odom"}], "delta_ref": "/drive"}})
+    assert layout.channels["x"] == (Source(topic="/pose"), Source(topic="/odom"))
+    assert layout.channels["delta_ref"] == (Source(topic="/drive", hold=True),) and layout.of_bag
+    assert read_layout({"channels": {"x": "x [m]"}}).channels["x"] == (Source(column="x [m]"),)
+
+
 def test_points_make_straight_lines_held_outside():
     source = Source(column="s", points=((-1.0, -0.4), (0.0, 0.0), (1.0, 0.3)))
     values = source.convert(np.array([-2.0, -0.5, 0.5, 3.0, np.nan]))
