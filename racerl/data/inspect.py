@@ -468,7 +468,7 @@ def _wheel_unit(log: Log, moving: NDArray[np.bool_]) -> Iterator[str]:
             straight = straight if straight.sum() >= ENOUGH / 3 else moving
         ratio = float(np.median(log.array(name)[straight] / log.array("v_x")[straight]))
         if ratio < -0.2:
-            yield f"{name} has the opposite sign of v_x (ratio {ratio:.2f}); forward is positive in both"
+            yield f"{name} has the opposite sign of v_x (ratio {ratio:.2f}); turn the sign of its scale"
         elif not 0.7 < ratio < 1.45:
             yield f"{name} is {ratio:.3g} times v_x on straights: {_factor(ratio)}; its unit must be m/s at the tyre"
 

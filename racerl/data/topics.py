@@ -6,6 +6,7 @@ when it finds a pose or a velocity.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from difflib import get_close_matches
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,7 +24,7 @@ from racerl.data.messages import (
     usual_field,
 )
 from racerl.documents import conf_folder, read_yaml
-from racerl.errors import LogError, suggest
+from racerl.errors import LogError
 
 UNMAPPED = "drive_log"  # the mapping of commands that were given none
 
@@ -105,8 +106,9 @@ def suited(path: Path, topics: Sequence[Topic], layout: Layout) -> tuple[Layout,
 def _near(layout: Layout, topics: Sequence[Topic]) -> str:
     """Return "; did you mean …?" when a pose's or a velocity's topic is named nearly as one of the bag's."""
     named = [source.topic for channel in (*POSE, *VELOCITY) for source in layout.channels.get(channel, ())]
-    near = [suggest(name, [topic.name for topic in topics], most=1) for name in named]
-    return next((line for line in near if line.startswith("; did you mean")), "")
+    # a slip of the finger, not one system's /odom for another's /wheel_odom
+    near = [match for name in named for match in get_close_matches(name, [topic.name for topic in topics], 1, 0.75)]
+    return f"; did you mean {near[0]}?" if near else ""
 
 
 def _help(path: Path, topics: Sequence[Topic], best: tuple[str, Layout] | None) -> str:

@@ -93,13 +93,21 @@ def test_a_mapping_that_finds_no_pose_is_an_error_that_names_the_one_that_fits(s
 
 
 def test_a_strange_bag_is_listed_with_a_mapping_that_reads_it(short, tmp_path, capsys):
-    strange = dict(zip(("/pose", *STOCK[1:], "/ackermann_cmd"), ("/vicon/car", "/esc", "/servo", "/cmd"), strict=True))
+    strange = dict(
+        zip(
+            ("/pose", *STOCK[1:], "/ackermann_cmd", "/odom"),
+            ("/vicon/car", "/esc", "/servo", "/cmd", "/wheel_odom"),
+            strict=True,
+        )
+    )
     bag = write_topics(tmp_path / "bag", short, strange)
     settings = {**compose_settings("data", ["logs=[x]"]), "logs": [str(bag)]}
     with pytest.raises(UnmappedBag, match="data=mine") as error:
         cli._data(settings, tmp_path / "run")
     assert "\n" not in str(error.value) and not (tmp_path / "run").exists()
     printed = capsys.readouterr().out
+    with pytest.raises(UnmappedBag, match="data=mine"):
+        load(bag, "f1tenth")  # its /odom is no misspelt topic of this bag
     assert "/vicon/car" in printed and "std_msgs/msg/Float64" in printed and "600" in printed
     (tmp_path / "mine.yaml").write_text(printed[printed.index("# conf/data/mine.yaml") :])
     mine = read_yaml(tmp_path / "mine.yaml")
