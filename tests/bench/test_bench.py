@@ -28,6 +28,7 @@ def test_identify(tmp_path):
         bench(settings, tmp_path / "out", compose_settings)
 
 
+@pytest.mark.slow
 def test_sim(tmp_path):
     words = ["benchmark=sim", "benchmark.cars=[16,400]", "benchmark.seconds=0.05", "benchmark.repeats=1", "threads=1"]
     facts = bench(compose_settings("bench", words), tmp_path / "out", compose_settings)

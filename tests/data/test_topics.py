@@ -103,7 +103,7 @@ def test_a_strange_bag_is_listed_with_a_mapping_that_reads_it(short, tmp_path, c
     bag = write_topics(tmp_path / "bag", short, strange)
     settings = {**compose_settings("data", ["logs=[x]"]), "logs": [str(bag)]}
     with pytest.raises(UnmappedBag, match="data=mine") as error:
-        cli._data(settings, tmp_path / "run")
+        cli._data([], settings, tmp_path / "run")
     assert "\n" not in str(error.value) and not (tmp_path / "run").exists()
     printed = capsys.readouterr().out
     with pytest.raises(UnmappedBag, match="data=mine"):

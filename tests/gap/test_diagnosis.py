@@ -148,7 +148,9 @@ def test_what_no_known_effect_explains_is_called_unknown_and_gets_no_name(damped
 
 
 @needs_compiler
-@pytest.mark.parametrize(("late", "name"), [(4, "pose_latency"), (-4, "command_timestamp_offset")])
+@pytest.mark.parametrize(
+    ("late", "name"), [pytest.param(4, "pose_latency", marks=pytest.mark.slow), (-4, "command_timestamp_offset")]
+)
 def test_one_shift_has_the_name_of_what_is_late(clean, tmp_path, late, name):
     motion, table = ["x", "y", "yaw", "v_x", "v_y", "yaw_rate"], clean.table.copy()
     table[motion] = table.groupby("run")[motion].shift(late)  # 10 ms each

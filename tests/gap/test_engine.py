@@ -382,6 +382,7 @@ def test_an_effect_starts_as_it_was_fitted_before_too(damped, monkeypatch):
 
 
 @needs_compiler
+@pytest.mark.slow
 def test_a_small_effect_beside_a_large_one_is_named(monkeypatch):
     monkeypatch.setattr("racerl.gap.name.WORTH", 0.06)
     log = drive(
@@ -396,6 +397,7 @@ def test_a_small_effect_beside_a_large_one_is_named(monkeypatch):
 
 
 @needs_compiler
+@pytest.mark.slow
 def test_what_is_left_by_a_name_is_excused_only_where_sensors_were_filtered(monkeypatch):
     words = ["+vehicle/effect=[steering_offset,viscous_drag]", "vehicle.effects.viscous_drag.coefficient=8.0"]
     log = drive(*words, seconds=90.0)

@@ -112,7 +112,7 @@ def test_scoring_alone_changes_nothing(identified, hidden, tmp_path):
     [
         ("delta",),
         pytest.param(("delta_ref", "omega_ref"), marks=pytest.mark.slow),
-        ("delta_ref", "omega"),
+        pytest.param(("delta_ref", "omega"), marks=pytest.mark.slow),
         pytest.param(("x", "y", "yaw"), marks=pytest.mark.slow),
     ],
 )

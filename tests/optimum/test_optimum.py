@@ -64,7 +64,9 @@ def test_it_settles_from_the_best_of_its_guesses(best, parts):
 
 
 @pytest.mark.parametrize(
-    "make", [pytest.param(oval, marks=pytest.mark.slow), clover, None], ids=["oval", "clover", "l_shape"]
+    "make",
+    [*(pytest.param(made, marks=pytest.mark.slow) for made in (oval, clover)), None],
+    ids=["oval", "clover", "l_shape"],
 )
 def test_held_commands_drive_the_lap_in_the_race_integrator(make, parts, best, held):
     vehicle, l_shape, action = parts
@@ -157,6 +159,7 @@ def test_the_command_writes_a_raceline(tmp_path, monkeypatch, best, held):
     assert np.hypot(x[-1] - x[0], y[-1] - y[0]) < 0.1
 
 
+@pytest.mark.slow
 def test_impossible_problems_are_told(parts, monkeypatch):
     vehicle, track, action = parts
     monkeypatch.setattr("racerl.optimum.optimum.SLIDING", SLIDING[:1])  # one guess fails as well as three

@@ -117,7 +117,8 @@ def test_two_sweeps_in_one_folder_and_a_plug_pulled(place):
 
 def test_a_job_that_fails_takes_no_other_along(place, run):
     out = place / "failing"
-    started = start(place, f"out={out}", "engine.jobs=1", "engine.retries=0")
+    words = [f"out={out}", "engine.jobs=1", "engine.retries=0", "cars=[model]"]
+    started = start(place, *words)
     wait_for(lambda: (out / "jobs").is_dir() and any((out / "jobs").glob("a-0-*/state.json")))
     for process in at_work(out):
         if "submitit.core" in Path(f"/proc/{process}/cmdline").read_text():
@@ -127,7 +128,7 @@ def test_a_job_that_fails_takes_no_other_along(place, run):
     facts = json.loads((out / "results.json").read_text())
     assert list(facts["failed"]) == ["a-0"] and {row["arm"] for row in facts["arms"]} == {"b"}
     assert "a-0 failed" in (out / "report.html").read_text()
-    again = run("sweep", "mine", *SMALL, f"out={out}", "engine.jobs=1", "engine.retries=0")
+    again = run("sweep", "mine", *SMALL, *words)
     assert again.returncode == 0, again.stderr  # tried again
     assert json.loads((out / "results.json").read_text())["failed"] == {}
 
