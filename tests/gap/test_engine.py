@@ -352,6 +352,7 @@ def test_a_kernel_that_threads_ask_for_at_once_is_made_once(clean, monkeypatch):
 
 
 @needs_compiler
+@pytest.mark.slow
 def test_candidates_in_several_threads_are_those_in_one(damped):
     names = ["yaw_damping", "tyre_relaxation", "tyre_heating", "lever_arm"]
     investigation, shown = investigate(damped, *names), []

@@ -115,6 +115,7 @@ def test_two_sweeps_in_one_folder_and_a_plug_pulled(place):
     wait_for(lambda: not at_work(out), 15.0)
 
 
+@pytest.mark.slow
 def test_a_job_that_fails_takes_no_other_along(place, run):
     out = place / "failing"
     words = [f"out={out}", "engine.jobs=1", "engine.retries=0", "cars=[model]"]
