@@ -10,10 +10,8 @@ import io
 import os
 import shlex
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 from racerl.choices import choices, default_groups
-from racerl.documents import packaged
 
 TWO_WORDS = ("gap plan", "gap close", "report compare")  # commands
 BREAKS = "=:"  # of Bash's COMP_WORDBREAKS, those that racerl's words hold
@@ -42,8 +40,9 @@ def _groups(command: str) -> list[str]:
 
 def sweeps() -> list[str]:
     """Return the names of all sweeps."""
-    folders = (Path("sweeps"), packaged("sweeps"))
-    return sorted({path.stem for folder in folders for path in folder.glob("*.yaml")})
+    from racerl.sweep.definition import names
+
+    return names()
 
 
 def effects(incomplete: str) -> list[str]:
