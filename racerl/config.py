@@ -167,19 +167,21 @@ def _plain(command: str, config: DictConfig) -> Settings:
 
 def _rewrite(command: str, arguments: Sequence[str], positional: str | None) -> list[str]:
     """Turn the user's words into Hydra's."""
-    overrides, bare = [], []
+    options: list[str] = []  # ahead of the rest: Hydra takes the overrides in one block
+    overrides: list[str] = []
+    bare: list[str] = []
     groups = set(default_groups(command))
     words = iter(arguments)
     for word in words:
         if word.startswith("-"):
             if word.split("=")[0] not in OPTIONS:
                 raise ConfigError(f"unknown option '{word}'{suggest(word, OPTIONS)}")
-            overrides.append(word)
+            options.append(word)
             if word.startswith("--config-dir="):
                 _check_user_files(Path(word.partition("=")[2]))
             if word in VALUED:
                 value = next(words, None)
-                overrides += [] if value is None else [value]
+                options += [] if value is None else [value]
                 if word in ("--config-dir", "-cd") and value:
                     _check_user_files(Path(value))
         elif positional and not word.startswith("~") and ("=" not in word or Path(word).is_dir()):
@@ -190,7 +192,7 @@ def _rewrite(command: str, arguments: Sequence[str], positional: str | None) -> 
             overrides += _rewrite_override(word, groups)
     if bare and positional:
         overrides.append(_bare_override(positional, bare))
-    return overrides
+    return [*options, *overrides]
 
 
 def _rewrite_override(word: str, groups: set[str]) -> Iterator[str]:
