@@ -56,21 +56,20 @@ def as_commands(words: list[str]) -> list[str]:
     return [two, *words[2:]] if two in TWO_WORDS else words
 
 
-def joined(words: list[str], cursor: int) -> tuple[list[str], int, int]:
-    """Return words with Bash's pieces put together, the place of the one at the cursor, and how much of it is fixed."""
-    whole: list[str] = []
-    glued, at, fixed = False, 0, 0
-    for number, piece in enumerate(words[: cursor + 1]):
+def joined(pieces: list[str]) -> tuple[list[str], int]:
+    """Return Bash's pieces put together to words, and how much of the last one is fixed."""
+    words: list[str] = []
+    glued, fixed = False, 0
+    for piece in pieces:
         breaks = bool(piece) and all(letter in BREAKS for letter in piece)
-        if whole and (breaks or glued):
-            fixed = len(whole[-1]) + (len(piece) if breaks else 0)
-            whole[-1] += piece
+        if words and (breaks or glued):
+            fixed = len(words[-1]) + (len(piece) if breaks else 0)
+            words[-1] += piece
         else:
-            whole.append(piece)
+            words.append(piece)
             fixed = 0
         glued = breaks
-        at = len(whole) - 1 if number == cursor else at
-    return whole, at, fixed
+    return words, fixed
 
 
 @contextlib.contextmanager
@@ -80,12 +79,11 @@ def for_bash() -> Iterator[None]:
     if os.environ.get(variable) != asked:
         yield
         return
-    words = os.environ.get("COMP_WORDS", "").split("\n")
-    words, at, fixed = joined(words, min(int(os.environ.get("COMP_CWORD", "0")), len(words) - 1))
-    if at > 2:
+    pieces = os.environ.get("COMP_WORDS", "").split("\n")
+    words, fixed = joined(pieces[: int(os.environ.get("COMP_CWORD", "0")) + 1])
+    if len(words) > 3:  # racerl, two words of a command, and one to complete
         words = [words[0], *as_commands(words[1:])]
-        at = len(words) - 1
-    os.environ["COMP_WORDS"], os.environ["COMP_CWORD"] = "\n".join(map(shlex.quote, words)), str(at)
+    os.environ["COMP_WORDS"], os.environ["COMP_CWORD"] = "\n".join(map(shlex.quote, words)), str(len(words) - 1)
     printed = io.StringIO()
     try:
         with contextlib.redirect_stdout(printed):

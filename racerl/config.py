@@ -233,8 +233,8 @@ def gather_words(command: str, arguments: Sequence[str], key: str) -> list[str]:
 
     The list may have been begun by the user, or else by the configuration. Words inside a list need no quotes.
     """
-    mine = own_keys(command)
-    lists = {name for name, value in read_yaml(conf_folder() / f"{command}.yaml").items() if isinstance(value, list)}
+    mine, base = own_keys(command), read_yaml(conf_folder() / f"{command}.yaml")
+    lists = {name for name, value in base.items() if isinstance(value, list)}
     kept: list[str] = []
     begun: list[str] | None = None
     others: list[str] = []
@@ -244,7 +244,7 @@ def gather_words(command: str, arguments: Sequence[str], key: str) -> list[str]:
             kept.append(word)
         elif name == key:
             begun = _listed(value)
-        elif name in lists and any(map(_is_override, _listed(value))):
+        elif name in lists and any("=" in each for each in _listed(value)):
             kept.append(f"{name}=[{','.join(map(quote, _listed(value)))}]")
         elif name.partition(".")[0] in mine:
             kept.append(word)
@@ -252,8 +252,7 @@ def gather_words(command: str, arguments: Sequence[str], key: str) -> list[str]:
             others.append(word)
     if begun is None and not others:
         return kept
-    usual = read_yaml(conf_folder() / f"{command}.yaml")[key]
-    return [*kept, f"{key}=[{','.join(map(quote, [*(usual if begun is None else begun), *others]))}]"]
+    return [*kept, f"{key}=[{','.join(map(quote, [*(base[key] if begun is None else begun), *others]))}]"]
 
 
 def _listed(value: str) -> list[str]:
@@ -261,10 +260,6 @@ def _listed(value: str) -> list[str]:
     inner = value.strip().removeprefix("[").removesuffix("]") if value.strip().startswith("[") else value
     words = re.findall(r"""(?:[^,\[\]'"]|\[[^\]]*\]|'[^']*'|"[^"]*")+""", inner)
     return [word.strip().strip("'\"") for word in words if word.strip()]
-
-
-def _is_override(word: str) -> bool:
-    return "=" in word
 
 
 def quote(value: str) -> str:

@@ -5,12 +5,14 @@ content or the new, never half of it. What is read may come from a stranger: siz
 refused (they can blow a small file up to gigabytes), and no reader can run code.
 """
 
+import contextlib
+import fcntl
 import io
 import json
 import math
 import os
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -35,6 +37,25 @@ def packaged(name: str) -> Path:
 def conf_folder() -> Path:
     """Return the folder of packaged configurations."""
     return packaged("conf")
+
+
+def user_cache(name: str) -> Path:
+    """Return the folder of that name in the user's cache of racerl."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "racerl" / name
+
+
+@contextlib.contextmanager
+def alone(lock: Path) -> Iterator[None]:
+    """Hold a lock file against other processes; the death of its owner releases it. Raises OSError.
+
+    It goes at the end, so what it guards must be written by then, and looked for again by whoever waited.
+    """
+    with lock.open("w") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        try:
+            yield
+        finally:
+            lock.unlink(missing_ok=True)
 
 
 def write_bytes(path: Path, content: bytes) -> None:

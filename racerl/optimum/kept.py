@@ -5,13 +5,11 @@ many processes ask for one lap, the first finds it and the others wait. That a p
 cache that cannot be used costs time, no result.
 """
 
-import fcntl
 import functools
 import hashlib
 import logging
-import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -19,7 +17,7 @@ from typing import Any
 import casadi
 import numpy as np
 
-from racerl.documents import read_json, write_json
+from racerl.documents import alone, read_json, user_cache, write_json
 from racerl.env.actions import Action
 from racerl.errors import DocumentError, OptimumError
 from racerl.optimum.along import motion, scales
@@ -35,7 +33,7 @@ log = logging.getLogger(__name__)
 
 def kept_folder() -> Path:
     """Return where laps are kept."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "racerl" / "optimum"
+    return user_cache("optimum")
 
 
 def kept_lap(
@@ -46,7 +44,10 @@ def kept_lap(
     lap = _read(path, vehicle, action)
     if lap is not None:
         return lap
-    with _alone(path):
+    with ExitStack() as stack:
+        with suppress(OSError):  # a cache that cannot be written has nothing to guard
+            path.parent.mkdir(parents=True, exist_ok=True)
+            stack.enter_context(alone(path.with_suffix(".lock")))
         lap = _read(path, vehicle, action)  # another process may have found it meanwhile
         if lap is not None:
             return lap
@@ -128,17 +129,3 @@ def _read(path: Path, vehicle: Vehicle, action: Action) -> Solution | None:
     shapes = [states.shape, commands.shape, *(row.shape for row in vars(stretch).values())]
     expected = [(len(scales(vehicle, action)), ORDER * count), (2, count), *[(ORDER * count,)] * len(vars(stretch))]
     return Solution(vehicle, action, stretch, states, commands, durations) if shapes == expected and count else None
-
-
-@contextmanager
-def _alone(path: Path) -> Iterator[None]:
-    """Hold a problem against other processes, where the cache can be written."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        lock = path.with_suffix(".lock").open("a")
-    except OSError:
-        yield
-        return
-    with lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        yield

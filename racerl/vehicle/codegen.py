@@ -5,9 +5,7 @@ The library is kept in the user's cache under a hash of source, compiler and pro
 where many processes ask for it at once.
 """
 
-import contextlib
 import ctypes
-import fcntl
 import functools
 import hashlib
 import logging
@@ -18,13 +16,15 @@ import shutil
 import signal
 import subprocess
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial
 from numpy.typing import NDArray
+
+from racerl.documents import alone, user_cache
 
 Array = NDArray[np.float64]
 
@@ -144,7 +144,7 @@ def statements(function: Any, inputs: Sequence[str], outputs: Sequence[str]) -> 
 
 def cache_folder() -> Path:
     """Return where compiled kernels are kept."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "racerl" / "kernels"
+    return user_cache("kernels")
 
 
 @functools.cache
@@ -184,7 +184,7 @@ def build(code: str, effort: Sequence[str] = THOROUGH) -> ctypes.CDLL | None:
 def _compile(compiler: Sequence[str], code: str, library: Path) -> None:
     """Build beside the target and rename; processes that want the same library wait for the first of them."""
     library.parent.mkdir(parents=True, exist_ok=True)
-    with _alone(library.with_suffix(".lock")), tempfile.TemporaryDirectory(dir=library.parent) as folder:
+    with alone(library.with_suffix(".lock")), tempfile.TemporaryDirectory(dir=library.parent) as folder:
         if library.is_file():
             return
         path, unit, built = (Path(folder) / f"kernel.{suffix}" for suffix in ("c", "o", "so"))
@@ -196,17 +196,6 @@ def _compile(compiler: Sequence[str], code: str, library: Path) -> None:
         ):
             subprocess.run(command, capture_output=True, check=True)  # noqa: S603
         built.replace(library)
-
-
-@contextlib.contextmanager
-def _alone(path: Path) -> Iterator[None]:
-    """Hold a lock file, which the death of its owner releases."""
-    with path.open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        try:
-            yield
-        finally:
-            path.unlink(missing_ok=True)
 
 
 def _processor() -> str:
