@@ -284,9 +284,11 @@ def _check_values(command: str, settings: Settings, overrides: Sequence[str]) ->
     words = {key: value for key in given if isinstance(value := _at(settings, key), str)}
     if not words:
         return
-    groups = set(default_groups(command))
-    chosen = [word for word in overrides if word.lstrip("+").partition("=")[0] in groups]
-    base = OmegaConf.to_container(_compose(command, chosen), resolve=False)
+    base: Any = read_yaml(conf_folder() / f"{command}.yaml")
+    if any("." in key for key in words):  # what stands in a group's file
+        groups = set(default_groups(command))
+        chosen = [word for word in overrides if word.lstrip("+").partition("=")[0] in groups]
+        base = OmegaConf.to_container(_compose(command, chosen), resolve=False)
     for key, value in words.items():
         if isinstance(usual := _at(base, key), int | float) and not isinstance(usual, bool):
             raise ConfigError(f"{key} = {value}: a number is expected")

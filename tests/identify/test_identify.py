@@ -21,7 +21,7 @@ from racerl.report.identification_page import draw_identification
 from racerl.train.train import train
 from racerl.vehicle.load import load_vehicle
 from racerl.vehicle.parameter import values
-from tests.identify.conftest import settings_for
+from tests.identify.conftest import FEW, settings_for
 
 REAL = Path(__file__).resolve().parents[3] / "shared" / "data"
 
@@ -92,7 +92,7 @@ def test_the_same_seed_gives_the_same_files_on_one_thread_and_two(hidden, tmp_pa
     log = pd.read_parquet(hidden / "log.parquet")
     log[log["run"] < 2].to_parquet(tmp_path / "log.parquet")
     for threads in (1, 2):
-        identify(settings_for(tmp_path / "log.parquet", f"threads={threads}"), tmp_path / str(threads))
+        identify(settings_for(tmp_path / "log.parquet", FEW, f"threads={threads}"), tmp_path / str(threads))
     for name in ("model.yaml", "identification.json", "overlay.parquet", "tyres.parquet"):
         assert (tmp_path / "1" / name).read_bytes() == (tmp_path / "2" / name).read_bytes(), name
 
@@ -119,7 +119,7 @@ def test_scoring_alone_changes_nothing(identified, hidden, tmp_path):
 def test_missing_channels(hidden, tmp_path, missing):
     log = pd.read_parquet(hidden / "log.parquet").drop(columns=list(missing))
     log.to_parquet(tmp_path / "log.parquet")
-    facts = identify(settings_for(tmp_path / "log.parquet", "folds=0"), tmp_path / "out")
+    facts = identify(settings_for(tmp_path / "log.parquet", FEW, "folds=0"), tmp_path / "out")
     truth, stiffness = truth_of(hidden), facts["parameters"]["front.p_Ky1"]
     assert abs(stiffness["value"] / truth["front.p_Ky1"] - 1) < 0.05
     assert facts["inputs"]["steering"] == ("delta" if "delta_ref" in missing else "delta_ref")
@@ -129,7 +129,7 @@ def test_missing_channels(hidden, tmp_path, missing):
 def test_motion_alone_does_not_tell_the_mass(hidden, tmp_path):
     log = pd.read_parquet(hidden / "log.parquet")
     log[log["run"] < 4].to_parquet(tmp_path / "log.parquet")
-    words = ["priors.mass=0.3", "+priors.friction=0.3", "folds=0"]
+    words = ["priors.mass=0.3", "+priors.friction=0.3", "folds=0", FEW]
     facts = identify(settings_for(tmp_path / "log.parquet", *words), tmp_path / "out")
     assert not facts["parameters"]["mass"]["identified"] and not facts["parameters"]["friction"]["identified"]
     assert "mass" in facts["parameters"]["yaw_inertia"]["not_separable_from"]
@@ -138,13 +138,13 @@ def test_motion_alone_does_not_tell_the_mass(hidden, tmp_path):
 def test_a_single_run_is_held_out_in_stretches(hidden, tmp_path):
     log = pd.read_parquet(hidden / "log.parquet")
     log[log["run"] == 1].to_parquet(tmp_path / "log.parquet")
-    facts = identify(settings_for(tmp_path / "log.parquet"), tmp_path / "out")
+    facts = identify(settings_for(tmp_path / "log.parquet", FEW), tmp_path / "out")
     assert "stretches" in facts["held_out"] and facts["rmse"]["85"]["v_x"] is not None
 
 
 def test_a_step_too_long_for_the_car_is_seen(hidden, tmp_path):
     log = pd.read_parquet(hidden / "log.parquet")
-    log[log["run"] < 2].to_parquet(tmp_path / "log.parquet")
+    log[log["run"] == 1].to_parquet(tmp_path / "log.parquet")
     words = [f"logs=['{tmp_path}/log.parquet']", "fit=false", "vehicle=published", "vehicle.rear.p_Ky1=60"]
     facts = identify(compose_settings("identify", words), tmp_path / "out")
     assert any("too stiff" in warning and "step=0.00" in warning for warning in facts["warnings"])

@@ -22,7 +22,7 @@ def test_every_packaged_sweep_can_be_read(name):
 def test_the_ablations_are_the_papers(tmp_path):
     sweeps = read_sweeps("ablations")
     assert sorted(claim.number for sweep in sweeps for claim in sweep.claims) == list(range(1, 11))
-    settings = {"words": [], "threads": 1, "seeds": [0], "laps": 1, "starts": [0], "cars": ["model", "twin"]}
+    settings = {"words": [], "threads": 1, "seeds": [0], "laps": 1, "starts": [0], "cars": ["model"]}
     jobs = plan(sweeps, settings, tmp_path, compose_settings).jobs
     assert sum(job.train is not None for job in jobs) == 10
     rivals = {job.name for job in jobs if job.train is None}

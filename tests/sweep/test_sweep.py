@@ -73,10 +73,18 @@ def results(out):
     return weights | {name: (out / name).read_bytes() for name in names}
 
 
-def test_a_sweep_trains_shared_arms_once_and_passes_over_what_is_done(place, run):
-    code, printed, _ = sweep(place, "out=once")
-    assert code == 0 and "claim 7" in printed and "report in once/report.html" in printed
+def test_a_sweep_goes_on_where_the_plug_was_pulled_and_trains_shared_arms_once(place, run):
     out = place / "once"
+    first = start(place, "out=once")
+    wait_for(lambda: len(at_work(out)) > 0)
+    beside = run("sweep", "mine", *SMALL, "out=once")
+    assert beside.returncode == 2 and "another sweep is at work" in beside.stderr and beside.stderr.count("\n") == 1
+    first.kill()
+    first.wait()
+    wait_for(lambda: not at_work(out), 15.0)
+    done = run("sweep", "mine", *SMALL, "out=once")
+    printed = done.stdout
+    assert done.returncode == 0 and "claim 7" in printed and "report in once/report.html" in printed
     assert len(list((out / "jobs").iterdir())) == 2  # c is a
     facts = json.loads((out / "results.json").read_text())
     assert "Trial budget" in printed and "claim 7: no verdict" in printed and facts["trial_steps"] == 2048
@@ -102,17 +110,6 @@ def test_arms_of_the_same_name_and_other_words_are_jobs_of_their_own(tmp_path):
     planned = plan(sweeps, settings, tmp_path, compose_settings)
     assert len({job.name for job in planned.jobs}) == len({job.path for job in planned.jobs}) == 2
     assert planned.of["s0", "a", 0] is not planned.of["s1", "a", 0]
-
-
-def test_two_sweeps_in_one_folder_and_a_plug_pulled(place):
-    out = place / "twice"
-    first = start(place, f"out={out}")
-    wait_for(lambda: len(at_work(out)) > 0)
-    code, _, error = sweep(place, f"out={out}")
-    assert code == 2 and "another sweep is at work" in error and error.count("\n") == 1
-    first.kill()
-    first.wait()
-    wait_for(lambda: not at_work(out), 15.0)
 
 
 @pytest.mark.slow
