@@ -7,6 +7,7 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 for library in ("OMP", "OPENBLAS", "MKL"):
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
 
+import fcntl
 import logging
 import sys
 from collections.abc import Callable
@@ -27,6 +28,7 @@ from racerl.train.train import train
 CONF = conf_folder()
 
 hypothesis.settings.register_profile("racerl", deadline=None)  # how long an example takes is the machine's affair
+hypothesis.settings.register_profile("thorough", deadline=None)  # the cases that tests/data/test_fuzz.py promises
 hypothesis.settings.load_profile("racerl")
 
 
@@ -52,6 +54,23 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
         return SimpleNamespace(returncode=ended.value.code, stdout=printed.out, stderr=printed.err)
 
     return called
+
+
+@pytest.fixture(scope="session")
+def once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[Path], None]], Path]:
+    """Make a folder by a name's first asker, for the tests of all processes of this run; none may change it."""
+    base = tmp_path_factory.getbasetemp()
+    root = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+
+    def made(name: str, make: Callable[[Path], None]) -> Path:
+        with (root / f"{name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not (root / name).exists():
+                make(base / name)
+                (base / name).rename(root / name)
+        return root / name
+
+    return made
 
 
 @pytest.fixture(scope="session")

@@ -1,5 +1,6 @@
 """The command line as a user meets it: in this process, or in one of its own where the process is what counts."""
 
+import functools
 import json
 import os
 import pty
@@ -16,6 +17,7 @@ import racerl
 from racerl.cli import _following, app
 from racerl.completion import TWO_WORDS
 from racerl.config import compose_settings, gather_words
+from racerl.vehicle import codegen
 
 PROGRAM = [sys.executable, "-m", "racerl.cli"]
 ROOT = Path(racerl.__file__).parent.parent
@@ -73,9 +75,11 @@ def test_data(tmp_path, run):
     assert done.returncode == 2 and "already holds" in done.stderr
 
 
-def test_warnings_reach_the_user(tmp_path):
+def test_warnings_reach_the_user(tmp_path, monkeypatch, run):
     """Without a compiler on the PATH the simulator falls back to torch, and one line says so."""
-    environment = {"PYTHONPATH": str(ROOT), "PATH": "/nowhere", "HOME": str(tmp_path), "OMP_NUM_THREADS": "1"}
+    for name, value in {"PATH": "/nowhere", "CC": "", "XDG_CACHE_HOME": str(tmp_path)}.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr(codegen, "_find_compiler", functools.cache(codegen._find_compiler.__wrapped__))
     words = [
         "train",
         "budget=smoke",
@@ -85,9 +89,7 @@ def test_warnings_reach_the_user(tmp_path):
         "budget.steps=32",
         "out=run",
     ]
-    done = subprocess.run(
-        [*PROGRAM, *words], cwd=tmp_path, capture_output=True, text=True, timeout=120, env=environment
-    )
+    done = run(*words)
     assert done.returncode == 0 and done.stderr.count("no C compiler found") == 1, done
 
 

@@ -68,6 +68,7 @@ def test_luck_that_arms_share_does_not_count():
     assert apart < 0.05 * alone
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth_about_as_often_as_they_say():
     inside = 0
     for draw in range(40):
