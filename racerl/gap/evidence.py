@@ -92,6 +92,12 @@ class Evidence:
             stage, columns, first, last, np.concatenate(start), np.concatenate(run), length, logs[0].dt, tuple(observed)
         )
 
+    def parted(self, length: int) -> "Evidence":
+        """Return the same rows in windows of `length` intervals, as many as fit into each window side by side."""
+        parts = np.arange(0, self.length - length + 1, length)
+        start = (self.start[:, None] + parts).ravel()
+        return replace(self, start=start, run=np.repeat(self.run, len(parts)), length=length)
+
     @property
     def numbers(self) -> int:
         """How many numbers a window measures."""

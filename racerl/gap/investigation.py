@@ -36,8 +36,10 @@ SHARE = 0.1  # of a channel's misfit that counts as noise in its weight
 NOMINAL, SCREEN, REFINE = 20, 3, 8  # most iterations of the nominal fit, of screening, of a candidate
 ASTRAY = 1.3  # times the noise's cost, beyond which a fit says little of the parameters
 PLACES, REACH = 2, 1.5  # of an effect that lies somewhere: places that fits start from, and their size in m
-SAMPLED = 3  # every which window screening, and the choice of a start of the nominal fit, look at
-STARTS = 2  # of the nominal fit, beside the configured vehicle
+SAMPLED = 3  # every which window screening, and the nominal fit to the shortest windows, look at
+GROWTH = (10, 30)  # samples of the windows that the nominal fit looks at first: errors grow less crooked in them
+STARTS, TWICE = 6, 0.01  # most starts of the nominal fit; share by which two that end at the best differ
+ROUNDS, SETTLED = 4, 1.5  # most fits with the priors' strength set anew, until it changes by less than this factor
 STRETCH = 6  # windows that are held out together
 EVEN = 0.05  # excess over the noise's cost at which an actuator's command counts as rightly timed
 PROBE, MENDED = 0.1, 0.15  # of a sample earlier must take so much of an excess away for a command's timing to matter
@@ -55,6 +57,7 @@ class Found:
     theta: dict[str, float]
     initial: dict[str, dict[str, Array]]  # of every stage's states
     cost: dict[str, Array]
+    strength: dict[str, float]  # λ that every stage's residuals ask for
     fit: Fit
     problem: Problem
     key: str  # of all that it came from
@@ -103,9 +106,11 @@ class Investigation:
         self.kernels = self._kernels(catalogue)
         self.noise = {name: each.noise() for name, each in self.evidence.items()}
         self.sigma = dict(self.noise)
+        self.strength = dict.fromkeys(self.evidence, 1.0)  # λ of the priors where nothing was fitted
         for name in {"steering", "drive"} & set(self.evidence):
             self.evidence[name] = self._timed(name)
         self.base = self._nominal(self._drawn(nominal, np.random.default_rng(seed)))
+        self.strength = self.base.strength
         self.seed = seed
         self._held_out: WeakKeyDictionary[Found, dict[str, Array]] = WeakKeyDictionary()
         self._noise_cost: WeakKeyDictionary[Found, dict[str, float]] = WeakKeyDictionary()
@@ -174,33 +179,63 @@ class Investigation:
         return replace(given, early=float(best.x)) if best.fun <= enough else given
 
     def _drawn(self, nominal: Unknowns, generator: np.random.Generator) -> list[Vehicle]:
-        """Return vehicles within one prior deviation of the configured one."""
-        starts = [nominal.draw_within(generator).tolist() for _ in range(STARTS)]
-        return [replace_values(self.vehicle, dict(zip(nominal.names, start, strict=True))) for start in starts]
+        """Return the configured vehicle and others within one prior deviation of it."""
+        starts = [nominal.draw_within(generator).tolist() for _ in range(STARTS - 1)]
+        others = [replace_values(self.vehicle, dict(zip(nominal.names, start, strict=True))) for start in starts]
+        return [self.vehicle, *others]
 
     def _nominal(self, starts: Sequence[Vehicle]) -> Found:
         """Fit the vehicle without effects; weigh channels by their noise and a share of what is left over."""
-        sampled = self._sampled(self.evidence)
-        likely = min(self.each(lambda vehicle: self._refit(vehicle, sampled), starts), key=self._loss)
-        drawn = replace_values(self.vehicle, likely.fit.theta)  # what no stage tells stays as configured
-        found = min(self.each(self._refit, [self.vehicle, drawn]), key=self._loss)
-        for name, errors in self.errors(found).items():
+        found: list[Found] = []
+        while len(found) < len(starts) and not self._met_twice(found):
+            found += self.each(self._grown, starts[len(found) : len(found) + 2])
+        best = min(found, key=self._loss)
+        for name, errors in self.errors(best).items():
             left = (errors**2).mean(axis=(0, 2))
             self.noise[name] = np.minimum(self.noise[name], np.sqrt(left))  # local polynomials miss fast motion
             self.sigma[name] = np.sqrt(self.noise[name] ** 2 + SHARE**2 * left)
-        return self._fit(frozenset(), found.vehicle, found, NOMINAL)
+        return self._settled(frozenset(), best.vehicle, best)
 
-    def _refit(self, vehicle: Vehicle, index: Mapping[str, NDArray[np.int64]] | None = None) -> Found:
-        return self._fit(frozenset(), vehicle, None, NOMINAL, index=index)
+    def _met_twice(self, found: Sequence[Found]) -> bool:
+        """Return whether the two best fits ended at the same cost."""
+        losses = sorted(self._loss(each) for each in found)
+        return len(losses) > 1 and losses[1] <= (1.0 + TWICE) * losses[0]
+
+    def _grown(self, vehicle: Vehicle) -> Found:
+        """Fit the vehicle without effects to windows that grow, so that it gets to where long ones lead it right."""
+        strength = self.strength
+        for length in GROWTH:
+            shorter = {name: each.parted(length) for name, each in self.evidence.items() if each.length > length}
+            if set(shorter) == set(self.evidence):
+                index = _sampled(shorter) if length == GROWTH[0] else None
+                found = self._settled(frozenset(), vehicle, None, shorter, index, strength)
+                vehicle, strength = found.vehicle, found.strength
+        return self._settled(frozenset(), vehicle, None, strength=strength)
+
+    def _settled(
+        self,
+        effects: Names,
+        vehicle: Vehicle,
+        start: Found | None,
+        evidence: Mapping[str, Evidence] | None = None,
+        index: Mapping[str, NDArray[np.int64]] | None = None,
+        strength: Mapping[str, float] | None = None,
+        stages: Iterable[str] | None = None,
+    ) -> Found:
+        """Fit until the priors are as strong as what the fit leaves asks for."""
+        for _ in range(ROUNDS):
+            found = self._fit(effects, vehicle, start, NOMINAL, stages, index, evidence=evidence, strength=strength)
+            given, asked = found.problem.strength, found.fit.strength
+            if all(1.0 / SETTLED < new / old < SETTLED for new, old in zip(asked, given, strict=True)):
+                break
+            vehicle, strength = found.vehicle, found.strength
+            start = found if index is None else None
+        return found
 
     def _loss(self, found: Found) -> float:
         """Return F of a fit, n the noise's cost; infinite where a window blew up."""
         parts = (float(loss(part, self.evidence[name].numbers).sum()) for name, part in found.cost.items())
-        return float(np.nan_to_num(found.problem.prior(found.fit) + sum(parts), nan=np.inf))
-
-    def _sampled(self, stages: Iterable[str]) -> dict[str, NDArray[np.int64]]:
-        """Return a share of each stage's windows."""
-        return {name: np.arange(len(self.evidence[name].start))[::SAMPLED] for name in stages}
+        return float(np.nan_to_num(sum(parts), nan=np.inf))
 
     def _fit(
         self,
@@ -211,15 +246,21 @@ class Investigation:
         stages: Iterable[str] | None = None,
         index: Mapping[str, NDArray[np.int64]] | None = None,
         free: Sequence[Unknown] | None = None,
+        evidence: Mapping[str, Evidence] | None = None,
+        strength: Mapping[str, float] | None = None,
     ) -> Found:
-        names = list(self.evidence if stages is None else stages)
+        """Fit all windows of some stages, or those of `index`; as strong priors as `start` asks for unless given."""
+        evidence = evidence or self.evidence
+        names = list(evidence if stages is None else stages)
         unknowns = self._unknowns(effects, vehicle) if free is None else free
+        strength = strength or {**self.strength, **(start.strength if start else {})}
         if start is not None and set(names) < set(self.evidence):
             known = self._known_elsewhere(names)
             unknowns = [unknown for unknown in unknowns if unknown.name not in known]
         problem = Problem(
-            [StageProblem.of(self.evidence[n], self.kernels[n], vehicle, unknowns, self.sigma[n]) for n in names],
+            [StageProblem.of(evidence[n], self.kernels[n], vehicle, unknowns, self.sigma[n]) for n in names],
             unknowns,
+            [strength[name] for name in names],
         )
         table = {name: float(value) for name, value in values(vehicle).items()}
         initial = None if start is None else [_begun(stage, start.initial, index) for stage in problem.stages]
@@ -246,6 +287,7 @@ class Investigation:
                 for name, stage, rows in zip(names, problem.stages, fit.initial, strict=True)
             },
             dict(zip(names, fit.cost, strict=True)),
+            dict(zip(names, fit.strength, strict=True)),
             fit,
             problem,
             key,
@@ -274,6 +316,7 @@ class Investigation:
                 float(table[name]),
                 WIDE * max(abs(float(table[name])), 0.01 * min(1.0, known[name].high - known[name].low)),
                 *self.limits.get(name, (known[name].low, known[name].high)),
+                effect=True,
             )
             for name in names
         ]
@@ -308,7 +351,7 @@ class Investigation:
 
     def _try(self, base: Found, name: str, vehicle: Vehicle, stages: Sequence[str]) -> Screened:
         """Return where a few iterations on a share of the windows lead a vehicle with an effect more."""
-        some = self._sampled(stages)
+        some = _sampled({name: self.evidence[name] for name in stages})
         found = self._fit(base.effects | {name}, vehicle, self._start(base, stages), SCREEN, stages, some)
         gains = {s: self._fall(s, self.cost(base, s)[some[s]], found.cost[s]) for s in stages}
         return Screened(name, found.vehicle, sum(gains.values()), max(gains, key=lambda s: gains[s]))
@@ -364,7 +407,7 @@ class Investigation:
         """Return a fit carried on to its end."""
         if found.fit.converged:
             return found
-        return self._fit(found.effects, found.vehicle, found, NOMINAL, list(found.cost))
+        return self._settled(found.effects, found.vehicle, found, stages=list(found.cost))
 
     def again(self, found: Found, changes: Mapping[str, float]) -> Found:
         """Return a fit over the same stages that starts from a fitted vehicle with some values changed."""
@@ -396,13 +439,13 @@ class Investigation:
     def everywhere(self, found: Found) -> Found:
         """Identify all parameters again, over all stages, with the effects of a fit."""
         names = list(self.evidence)
-        return self._fit(found.effects, found.vehicle, self._start(found, names), NOMINAL, names)
+        return self._settled(found.effects, found.vehicle, self._start(found, names), stages=names)
 
     def without(self, base: Found, name: str) -> Found:
         """Fit a vehicle that lacks one effect of a fitted one, over the same stages."""
         others = {key: effect for key, effect in base.vehicle.effects.items() if key != name}
         vehicle = replace(base.vehicle, effects=others)
-        return self._fit(base.effects - {name}, vehicle, self._start(base, base.cost), NOMINAL, base.cost)
+        return self._settled(base.effects - {name}, vehicle, self._start(base, base.cost), stages=base.cost)
 
     def _start(self, base: Found, stages: Iterable[str]) -> Found:
         missing = {name: self.base.initial[name] for name in stages if name not in base.initial}
@@ -488,6 +531,11 @@ class Investigation:
     def unfitted(self) -> Found:
         """Return the vehicle as configured, with initial states fitted only."""
         return self._fit(frozenset(), self.vehicle, self.base, REFINE, free=())
+
+
+def _sampled(evidence: Mapping[str, Evidence]) -> dict[str, NDArray[np.int64]]:
+    """Return a share of each stage's windows."""
+    return {name: np.arange(len(each.start))[::SAMPLED] for name, each in evidence.items()}
 
 
 def _begun(

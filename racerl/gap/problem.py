@@ -1,12 +1,14 @@
 """What a fit of the gap workflow minimises: squared errors over the noise, summed over stages that share parameters.
 
-    F(θ, x_0) = Σ_stages Σ_windows ρ(c) + Σ ((θ − θ_0)/s)²
+    F(θ, x_0) = Σ_stages Σ_windows ρ(c) + Σ λ ((θ − θ_0)/s)²
     c = Σ_c,t ((y − m)/σ_c)² + Σ_own ((x_0 − x̄_0)/s_0)²,    ρ(c) = 2√2 n (√(1 + c/n) − 1)
 
 Every window has a free initial state x_0; the effects' own states begin near where the measured motion puts them. With
 n the cost of a usual window, ρ (Charbonnier's) counts such windows by their cost and those that no vehicle foresees, a
-spin, by its root: they do not decide alone. Levenberg–Marquardt on the normal equations with windows weighted by
-ρ'(c), initial states eliminated window by window.
+spin, by its root: they do not decide alone. Where the model leaves more than noise, N numbers that hang together are
+worth fewer: λ = max(1, F_data/N_independent) of a stage makes the priors of the vehicle's parameters in it as strong
+as they should be beside such data. Levenberg–Marquardt on the normal equations with windows weighted by ρ'(c), initial
+states eliminated window by window.
 """
 
 import copy
@@ -23,6 +25,7 @@ from racerl.gap.follow import follow, lagged
 from racerl.gap.kernels import StageKernel, StageKernels
 from racerl.gap.presence import inner, only_shifts, with_all
 from racerl.gap.stage import SHIFTS, StageRollout
+from racerl.identify.objective import independent_residuals
 from racerl.vehicle.parameter import replace_values, values
 from racerl.vehicle.rollout import NormalEquations, Windows
 from racerl.vehicle.vehicle import STATE, Vehicle
@@ -33,6 +36,7 @@ MEMORY_STEP = 1e-3  # of a time constant, to see how it leads own states
 FIXED = 1e-6  # deviation of own initial states that the drive so far tells
 RISE, FALL = 8.0, 4.0  # of the damping after a step that does not help, and after one that does at once
 WORST = 1e8  # damping at which no step helps any more
+FREE = 1e-2  # damping up to which a step that gains nothing says that there is nothing to gain
 WAYS = (0.1, 1.0, 10.0)  # other dampings of initial states' steps
 SETTLING, ENOUGH = 4, 0.01  # most steps of initial states alone; share of its cost that one of them must take
 HELD_DAMPING = 1e-2  # of the step to a fold's parameters, at first
@@ -48,6 +52,7 @@ class Unknown:
     sigma: float
     low: float
     high: float
+    effect: bool = False  # of an effect: its prior is wide, and stays as it is whatever the model leaves
 
 
 @dataclass(frozen=True)
@@ -227,6 +232,11 @@ class Linear:
         """Summed loss of the windows."""
         return float(loss(self.cost, self.usual).sum())
 
+    @property
+    def weight(self) -> Array:
+        """ρ'(c) of the windows, (W,)."""
+        return np.asarray(np.sqrt(2.0 / (1.0 + self.cost / self.usual)))
+
     def inverse(self, damping: float) -> Array:
         """Return the damped inverse of xx, (W, A, A)."""
         diagonal = np.einsum("waa->wa", self.xx)
@@ -250,8 +260,7 @@ class Linear:
 
     def reduced(self, damping: float) -> tuple[Array, Array]:
         """Return H (W, N, N) and g (W, N) over θ with each window's initial state eliminated, weighted by ρ'(c)."""
-        gain = self.tx @ self.inverse(damping)
-        weight = np.sqrt(2.0 / (1.0 + self.cost / self.usual))
+        gain, weight = self.tx @ self.inverse(damping), self.weight
         H = self.tt - gain @ self.tx.transpose(0, 2, 1)
         g = self.t - np.einsum("wnx,wx->wn", gain, self.x)
         return weight[:, None, None] * H, weight[:, None] * g
@@ -280,6 +289,7 @@ class Fit:
     theta: dict[str, float]
     initial: list[Array]
     cost: list[Array]
+    strength: list[float]  # λ of every stage that its residuals ask for
     converged: bool
     linearise: Callable[[], list[Linear]]  # a fit of a checkpoint is without: few are asked for it
 
@@ -297,6 +307,7 @@ class Fit:
         stages = range(len(self.cost))
         return {
             "theta": np.array(list(self.theta.values())),
+            "strength": np.array(self.strength),
             "converged": np.array([self.converged]),
             **{f"initial.{i}": self.initial[i] for i in stages},
             **{f"cost.{i}": self.cost[i] for i in stages},
@@ -307,27 +318,37 @@ class Fit:
         cls, parts: Mapping[str, NDArray[Any]], names: Sequence[str], linearise: Callable[[], list[Linear]]
     ) -> "Fit":
         """Return the fit of which these are the parts, θ in this order."""
-        initial, cost = ([parts[f"{what}.{i}"] for i in range(len(parts) // 2 - 1)] for what in ("initial", "cost"))
+        initial, cost = ([parts[f"{what}.{i}"] for i in range(len(parts["strength"]))] for what in ("initial", "cost"))
         theta = dict(zip(names, parts["theta"].tolist(), strict=True))
-        return cls(theta, initial, cost, bool(parts["converged"][0]), linearise)
+        return cls(theta, initial, cost, parts["strength"].tolist(), bool(parts["converged"][0]), linearise)
 
 
 class Problem:
     """A fit over several stages."""
 
-    def __init__(self, stages: Sequence[StageProblem], unknowns: Sequence[Unknown]) -> None:
+    def __init__(
+        self, stages: Sequence[StageProblem], unknowns: Sequence[Unknown], strength: Sequence[float] | None = None
+    ) -> None:
+        """`strength`: λ of every stage, one unless given."""
         used = {name for stage in stages for name in stage.names}
         self.stages = list(stages)
+        self.strength = list(strength or [1.0] * len(self.stages))
         self.unknowns = [unknown for unknown in unknowns if unknown.name in used]
         self.names = [unknown.name for unknown in self.unknowns]
-        self.scale = np.array([unknown.sigma for unknown in self.unknowns])
+        self.scale = np.array([self._scale(unknown) for unknown in self.unknowns])
         self.low = np.array([unknown.low for unknown in self.unknowns])
         self.high = np.array([unknown.high for unknown in self.unknowns])
         self.mean = np.array([unknown.start for unknown in self.unknowns])
 
+    def _scale(self, unknown: Unknown) -> float:
+        """Return the deviation s/√λ of an unknown's prior."""
+        seen = [λ for λ, stage in zip(self.strength, self.stages, strict=True) if unknown.name in stage.names]
+        return unknown.sigma if unknown.effect else unknown.sigma / float(np.sqrt(max(seen)))
+
     def told(self) -> list[Any]:
         """Return all that a fit comes from, but for where it starts."""
-        return [[stage.told() for stage in self.stages], [list(vars(unknown).values()) for unknown in self.unknowns]]
+        unknowns = [list(vars(unknown).values()) for unknown in self.unknowns]
+        return [[stage.told() for stage in self.stages], unknowns, self.strength]
 
     def fit(
         self,
@@ -355,9 +376,11 @@ class Problem:
                 if damping > WORST:
                     return self._result(work, vector, at[1], True)
             gain = (at[0] - there[0]) / max(at[0], 1e-300)
+            converged = gain < tolerance and damping <= FREE
+            if gain < tolerance and not converged:  # so damped a step says little
+                factor = FREE / max(damping, FREE)
             vector, at, damping = trial, there, max(damping * factor, 1e-7)
-            if gain < tolerance:
-                converged = True
+            if converged:
                 break
         return self._result(work, vector, at[1], converged)
 
@@ -436,7 +459,8 @@ class Problem:
     def _result(self, work: Sequence["_Work"], vector: Array, lines: list[Linear], converged: bool) -> Fit:
         theta = self._named(vector)
         initial = [stage.initial + stage.drift(theta)[0] for stage in work]
-        return Fit(theta, initial, [line.cost for line in lines], converged, lambda: lines)
+        strength = [stage.strength(theta, line) for stage, line in zip(work, lines, strict=True)]
+        return Fit(theta, initial, [line.cost for line in lines], strength, converged, lambda: lines)
 
     def held_out(self, fit: Fit, folds: Sequence[Sequence[NDArray[np.bool_]]]) -> list[Array]:
         """Return the cost of every window (W,) per stage, under parameters that were found without its fold."""
@@ -682,6 +706,13 @@ class _Work:
             if not (line.cost < (1.0 - ENOUGH) * before).any():
                 break
         return line.cost
+
+    def strength(self, theta: Mapping[str, float], line: Linear) -> float:
+        """Return λ = max(1, F_data/N_independent) of the windows as they are."""
+        if not np.isfinite(line.cost).all():
+            return 1.0
+        errors = self.errors(theta) / self.problem.sigma[:, None] * line.weight**0.5
+        return max(1.0, line.loss / independent_residuals(errors))
 
     def errors(self, theta: Mapping[str, float]) -> Array:
         """Return simulated − measured (T + 1, C, W) from the initial states as they are."""
