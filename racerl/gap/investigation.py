@@ -33,7 +33,7 @@ Names = frozenset[str]
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 SHARE = 0.1  # of a channel's misfit that counts as noise in its weight
-NOMINAL, SCREEN, REFINE = 20, 3, 8  # most iterations of the nominal fit, of screening, of a candidate
+NOMINAL, SCREEN, REFINE = 60, 3, 8  # most iterations of the nominal fit, of screening, of a candidate
 ASTRAY = 1.3  # times the noise's cost, beyond which a fit says little of the parameters
 PLACES, REACH = 2, 1.5  # of an effect that lies somewhere: places that fits start from, and their size in m
 SAMPLED = 3  # every which window screening, and the nominal fit to the shortest windows, look at
@@ -109,7 +109,7 @@ class Investigation:
         self.strength = dict.fromkeys(self.evidence, 1.0)  # λ of the priors where nothing was fitted
         for name in {"steering", "drive"} & set(self.evidence):
             self.evidence[name] = self._timed(name)
-        self.base = self._nominal(self._drawn(nominal, np.random.default_rng(seed)))
+        self.base = self._nominal(self._drawn(nominal, np.random.default_rng(0)))  # whatever the seed: one log, one fit
         self.strength = self.base.strength
         self.seed = seed
         self._held_out: WeakKeyDictionary[Found, dict[str, Array]] = WeakKeyDictionary()
@@ -295,8 +295,13 @@ class Investigation:
 
     def _known_elsewhere(self, stages: Sequence[str]) -> set[str]:
         """Return the vehicle's parameters that other stages than these determine: they stay as those found them."""
+        others = [name for name in self.evidence if name not in stages]
+        return self._determined(others) - self._determined(stages)
+
+    def _determined(self, stages: Iterable[str]) -> set[str]:
+        """Return the vehicle's parameters that the outcome of some stages depends on."""
         parts = {part.evidence.stage.name: set(part.names) for part in self.base.problem.stages}
-        return set().union(*(parts[n] for n in parts if n not in stages)) - set().union(*(parts[n] for n in stages))
+        return set().union(*(parts[name] for name in stages))
 
     def _unknowns(self, effects: Names, vehicle: Vehicle) -> list[Unknown]:
         nominal = [unknown for unknown in self.unknowns if unknown.name != "l_f" or COG not in effects]
@@ -341,7 +346,9 @@ class Investigation:
         if not stages:
             return None
         if self.beyond(base, stages) > ASTRAY:
-            likely += [replace(self.vehicle, effects=vehicle.effects) for vehicle in likely]
+            configured = values(self.vehicle)
+            own = {name: float(configured[name]) for name in self._determined(stages)}
+            likely += [replace_values(vehicle, own) for vehicle in likely]
         return max((self._try(base, name, vehicle, stages) for vehicle in likely), key=lambda each: each.gain)
 
     def joined(self, vehicle: Vehicle, name: str, effect: Effect) -> Vehicle:

@@ -367,7 +367,7 @@ class Problem:
         at = self._at_point(work, vector)
         damping, converged = 1e-3, False
         for _ in range(iterations):
-            factor = 1.0 / FALL
+            factor, free = 1.0 / FALL, damping <= FREE
             while True:
                 trial, there = self._tried(work, at, vector, damping)
                 if there is not None:
@@ -376,9 +376,9 @@ class Problem:
                 if damping > WORST:
                     return self._result(work, vector, at[1], True)
             gain = (at[0] - there[0]) / max(at[0], 1e-300)
-            converged = gain < tolerance and damping <= FREE
-            if gain < tolerance and not converged:  # so damped a step says little
-                factor = FREE / max(damping, FREE)
+            converged = gain < tolerance and free
+            if gain < tolerance and not free:  # so damped a step says little
+                factor = FREE / damping
             vector, at, damping = trial, there, max(damping * factor, 1e-7)
             if converged:
                 break
