@@ -34,6 +34,7 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 SHARE = 0.1  # of a channel's misfit that counts as noise in its weight
 NOMINAL, SCREEN, REFINE = 60, 3, 8  # most iterations of the nominal fit, of screening, of a candidate
+CALM = 10.0  # times the noise's cost in a usual window, beyond which a window's tells of the vehicle
 ASTRAY = 1.3  # times the noise's cost, beyond which a fit says little of the parameters
 PLACES, REACH = 2, 1.5  # of an effect that lies somewhere: places that fits start from, and their size in m
 SAMPLED = 3  # every which window screening, and the nominal fit to the shortest windows, look at
@@ -441,7 +442,9 @@ class Investigation:
         return self._noise_cost[found]
 
     def _squares(self, errors: Mapping[str, Array]) -> dict[str, float]:
-        return {name: float(((part / self.sigma[name][:, None]) ** 2).sum()) for name, part in errors.items()}
+        """Return the summed cost per stage; a window in which noise makes the vehicle spin counts up to a limit."""
+        costs = {name: ((part / self.sigma[name][:, None]) ** 2).sum(axis=(0, 1)) for name, part in errors.items()}
+        return {name: float(np.minimum(part, CALM * np.median(part)).sum()) for name, part in costs.items()}
 
     def everywhere(self, found: Found) -> Found:
         """Identify all parameters again, over all stages, with the effects of a fit."""
