@@ -20,12 +20,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from racerl.estimation.independence import independent_residuals
+from racerl.estimation.levenberg_marquardt import WORST, bounded_step, descend
+from racerl.estimation.schur import WindowEquations
 from racerl.gap.evidence import Evidence
 from racerl.gap.follow import follow, lagged
 from racerl.gap.kernels import StageKernel, StageKernels
 from racerl.gap.presence import inner, only_shifts, with_all
 from racerl.gap.stage import SHIFTS, StageRollout
-from racerl.identify.objective import independent_residuals
 from racerl.vehicle.parameter import replace_values, values
 from racerl.vehicle.rollout import NormalEquations, Windows
 from racerl.vehicle.vehicle import STATE, Vehicle
@@ -34,9 +36,6 @@ Array = NDArray[np.float64]
 OWN_SPREAD = 0.5  # deviation of own initial states, in their spread over the windows
 MEMORY_STEP = 1e-3  # of a time constant, to see how it leads own states
 FIXED = 1e-6  # deviation of own initial states that the drive so far tells
-RISE, FALL = 8.0, 4.0  # of the damping after a step that does not help, and after one that does at once
-WORST = 1e8  # damping at which no step helps any more
-FREE = 1e-2  # damping up to which a step that gains nothing says that there is nothing to gain
 WAYS = (0.1, 1.0, 10.0)  # other dampings of initial states' steps
 SETTLING, ENOUGH = 4, 0.01  # most steps of initial states alone; share of its cost that one of them must take
 HELD_DAMPING = 1e-2  # of the step to a fold's parameters, at first
@@ -209,23 +208,18 @@ def _shift_of(evidence: Evidence, vehicle: Vehicle, name: str) -> tuple[float, f
 
 
 @dataclass(frozen=True)
-class Linear:
+class Linear(WindowEquations):
     """A stage at a point: cost per window (W,), n of ρ, and the normal equations of each window's (θ, x_0)."""
 
     cost: Array
     usual: float
-    tt: Array  # (W, N, N)
-    tx: Array  # (W, N, A)
-    xx: Array  # (W, A, A)
-    t: Array  # (W, N)
-    x: Array  # (W, A)
 
     @classmethod
     def of(cls, parts: NormalEquations, size: int, evidence: Evidence) -> "Linear":
         """Split normal equations after their first `size` unknowns."""
         H, g, cost = parts.H, parts.g, parts.squares.sum(axis=1)
         tt, tx, xx = H[:, :size, :size], H[:, :size, size:], H[:, size:, size:]
-        return cls(cost, usual_cost(evidence, cost), tt, tx, xx, g[:, :size], g[:, size:])
+        return cls(tt, tx, xx, g[:, :size], g[:, size:], cost, usual_cost(evidence, cost))
 
     @property
     def loss(self) -> float:
@@ -236,12 +230,6 @@ class Linear:
     def weight(self) -> Array:
         """ρ'(c) of the windows, (W,)."""
         return np.asarray(np.sqrt(2.0 / (1.0 + self.cost / self.usual)))
-
-    def inverse(self, damping: float) -> Array:
-        """Return the damped inverse of xx, (W, A, A)."""
-        diagonal = np.einsum("waa->wa", self.xx)
-        ridge = damping * diagonal + 1e-10 * diagonal.max(axis=1, keepdims=True, initial=0.0) + 1e-300
-        return np.linalg.inv(self.xx + ridge[:, :, None] * np.eye(self.xx.shape[1]))
 
     def mixed(self, M: Array) -> "Linear":
         """Return the same over θ of which the rows' parameters are M θ."""
@@ -258,17 +246,10 @@ class Linear:
             t=self.t + np.einsum("wna,wa->wn", back, self.x),
         )
 
-    def reduced(self, damping: float) -> tuple[Array, Array]:
+    def reduced(self, damping: float = 0.0) -> tuple[Array, Array]:
         """Return H (W, N, N) and g (W, N) over θ with each window's initial state eliminated, weighted by ρ'(c)."""
-        gain, weight = self.tx @ self.inverse(damping), self.weight
-        H = self.tt - gain @ self.tx.transpose(0, 2, 1)
-        g = self.t - np.einsum("wnx,wx->wn", gain, self.x)
-        return weight[:, None, None] * H, weight[:, None] * g
-
-    def follow(self, moved: Array, damping: float) -> Array:
-        """Return the initial states' own step (A, W) when θ moves by `moved`."""
-        gradient = self.x + np.einsum("wnx,n->wx", self.tx, moved)
-        return -np.einsum("wxy,wy->xw", self.inverse(damping), gradient)
+        H, g = super().reduced(damping)
+        return self.weight[:, None, None] * H, self.weight[:, None] * g
 
 
 def usual_cost(evidence: Evidence, cost: Array) -> float:
@@ -363,62 +344,21 @@ class Problem:
         for i, stage in enumerate(work):
             if initial is not None:
                 stage.take(theta, initial[i])
-        vector = np.array([theta[name] for name in self.names])
-        at = self._at_point(work, vector)
-        damping, converged = 1e-3, False
-        for _ in range(iterations):
-            factor, free = 1.0 / FALL, damping <= FREE
-            while True:
-                trial, there = self._tried(work, at, vector, damping)
-                if there is not None:
-                    break
-                damping, factor = damping * RISE, 1.0
-                if damping > WORST:
-                    return self._result(work, vector, at[1], True)
-            gain = (at[0] - there[0]) / max(at[0], 1e-300)
-            converged = gain < tolerance and free
-            if gain < tolerance and not free:  # so damped a step says little
-                factor = FREE / damping
-            vector, at, damping = trial, there, max(damping * factor, 1e-7)
-            if converged:
-                break
-        return self._result(work, vector, at[1], converged)
+        start = np.array([theta[name] for name in self.names]), [stage.initial for stage in work]
+        end = descend(_Landscape(self, work), start, iterations, tolerance)
+        (vector, _), at = end.place, end.slope
+        return self._result(work, vector, at.lines, end.converged)
 
-    def _tried(
-        self, work: Sequence["_Work"], at: tuple[float, list[Linear]], vector: Array, damping: float
-    ) -> tuple[Array, tuple[float, list[Linear]] | None]:
-        """Take a damped step; return θ and what is there, or None, with the step taken back, if that is no better."""
-        trial = self._step(at[1], vector, damping)
-        before = [stage.initial for stage in work]
-        for stage, line in zip(work, at[1], strict=True):
-            stage.move(self._named(trial), line, (trial - vector)[self._places(stage.problem)], damping)
-        costs = (stage.losses(self._named(trial)) for stage in work)
-        if sum(costs, self._prior(trial)) <= at[0]:  # a fifth of the work of the gradients
-            there = self._at_point(work, trial)
-            if there[0] <= at[0]:
-                return trial, there
-        for stage, kept in zip(work, before, strict=True):
-            stage.initial = kept
-        return trial, None
-
-    def _at_point(self, work: Sequence["_Work"], vector: Array) -> tuple[float, list[Linear]]:
-        lines = [stage.linearise(self._named(vector)) for stage in work]
-        return self._total_loss(vector, lines), lines
-
-    def _named(self, vector: Array) -> dict[str, float]:
+    def named(self, vector: Array) -> dict[str, float]:
+        """Return θ by name."""
         return dict(zip(self.names, vector.tolist(), strict=True))
-
-    def _total_loss(self, vector: Array, lines: Sequence[Linear]) -> float:
-        """Return F."""
-        total = sum(line.loss for line in lines)
-        total += self._prior(vector)
-        return total if np.isfinite(total) else np.inf
 
     def prior(self, fit: Fit) -> float:
         """Return Σ ((θ − θ_0)/s)² of a fit."""
-        return self._prior(self._vector(fit))
+        return self.prior_at(self._vector(fit))
 
-    def _prior(self, vector: Array) -> float:
+    def prior_at(self, vector: Array) -> float:
+        """Return Σ λ ((θ − θ_0)/s)²."""
         return float((((vector - self.mean) / self.scale) ** 2).sum())
 
     def _total(
@@ -428,7 +368,7 @@ class Problem:
         size = len(self.names)
         H, g = np.zeros((size, size)), np.zeros(size)
         for i, (stage, (part, slope)) in enumerate(zip(self.stages, reduced, strict=True)):
-            place = self._places(stage)
+            place = self.places(stage)
             chosen = slice(None) if windows is None else windows[i]
             H[np.ix_(place, place)] += part[chosen].sum(axis=0)
             g[place] += slope[chosen].sum(axis=0)
@@ -436,28 +376,22 @@ class Problem:
 
     def _moved(self, H: Array, g: Array, vector: Array, damping: float) -> Array:
         """Return θ after a damped step down g inside the bounds; H is without the priors, g with theirs."""
-        A = H * np.outer(self.scale, self.scale) + np.eye(len(g))
-        b = g * self.scale
-        A += damping * np.diag(np.diag(A))
-        free = ~(((vector <= self.low) & (b > 0)) | ((vector >= self.high) & (b < 0)))
-        step = np.zeros_like(b)
-        step[free] = -np.linalg.solve(A[np.ix_(free, free)], b[free])
-        moved: Array = np.clip(vector + step * self.scale, self.low, self.high)
-        return moved
+        stiffness = H * np.outer(self.scale, self.scale) + np.eye(len(g))
+        return bounded_step(stiffness, g * self.scale, vector, self.low, self.high, self.scale, damping)
 
-    def _step(self, lines: Sequence[Linear], vector: Array, damping: float) -> Array:
+    def step(self, lines: Sequence[Linear], vector: Array, damping: float) -> Array:
         """Return θ after a damped step."""
         if not len(vector):
             return vector
         H, g = self._total([line.reduced(damping) for line in lines])
         return self._moved(H, g + (vector - self.mean) / self.scale**2, vector, damping)
 
-    def _places(self, stage: StageProblem) -> list[int]:
+    def places(self, stage: StageProblem) -> list[int]:
         """Return where the names of a stage stand in θ."""
         return [self.names.index(name) for name in stage.names]
 
     def _result(self, work: Sequence["_Work"], vector: Array, lines: list[Linear], converged: bool) -> Fit:
-        theta = self._named(vector)
+        theta = self.named(vector)
         initial = [stage.initial + stage.drift(theta)[0] for stage in work]
         strength = [stage.strength(theta, line) for stage, line in zip(work, lines, strict=True)]
         return Fit(theta, initial, [line.cost for line in lines], strength, converged, lambda: lines)
@@ -497,7 +431,7 @@ class Problem:
             damping = HELD_DAMPING
             while True:  # until the step spoils the windows that it was made from no longer
                 moved = self._moved(H, -g, self._vector(fit), damping)
-                there = [stage.at(self._named(moved)) for stage in self.stages]
+                there = [stage.at(self.named(moved)) for stage in self.stages]
                 trained = self._begun(fit, moved, there, seen)
                 after = sum(float(loss(cost, fit.lines[i].usual).sum()) for i, _, _, cost in trained)
                 if after < SPOILT * before or damping > WORST:
@@ -518,7 +452,7 @@ class Problem:
                 work = _Work(there[i], {}, np.flatnonzero(mask))
                 kept = fit.initial[i][:, mask]
                 start = kept.copy()
-                start[work.rows] += line.follow(step[self._places(stage)], 0.0)[:, mask]
+                start[work.rows] += line.follow(step[self.places(stage)], 0.0)[:, mask]
                 for row in stage.memory:
                     kept[row] = start[row] = work.initial[row]
                 yield i, mask, work, work.begin({}, kept, start)
@@ -533,7 +467,7 @@ class Problem:
         inverse = np.linalg.inv(H + np.diag(self.scale**-2.0))
         meat = np.diag(self.scale**-2.0)
         for stage, (_, slope), block in zip(self.stages, reduced, blocks, strict=True):
-            place = self._places(stage)
+            place = self.places(stage)
             sums = np.stack([np.bincount(block, column) for column in slope.T], axis=1)  # (B, N)
             sums -= sums.mean(axis=0)
             meat[np.ix_(place, place)] += sums.T @ sums
@@ -557,6 +491,49 @@ def expected_errors(stage: StageProblem, theta: Mapping[str, float], initial: Ar
     work.initial = initial.copy()
     work.settled()
     return work.errors({})
+
+
+@dataclass(frozen=True)
+class _Slope:
+    """F at a place, and every stage there."""
+
+    cost: float
+    lines: list[Linear]
+
+
+class _Landscape:
+    """F over θ and the initial states (S, W) of every stage, in the course of a fit."""
+
+    def __init__(self, problem: Problem, work: Sequence["_Work"]) -> None:
+        self.problem, self.work = problem, work
+
+    def linearise(self, place: "_Place") -> _Slope:
+        theta = self._at(place)
+        lines = [stage.linearise(theta) for stage in self.work]
+        total = sum(line.loss for line in lines) + self.problem.prior_at(place[0])
+        return _Slope(total if np.isfinite(total) else np.inf, lines)
+
+    def cost(self, place: "_Place") -> float:
+        theta = self._at(place)
+        return sum((stage.losses(theta) for stage in self.work), self.problem.prior_at(place[0]))
+
+    def step(self, place: "_Place", slope: _Slope, damping: float) -> "_Place":
+        self._at(place)
+        vector = place[0]
+        trial = self.problem.step(slope.lines, vector, damping)
+        theta = self.problem.named(trial)
+        for stage, line in zip(self.work, slope.lines, strict=True):
+            stage.move(theta, line, (trial - vector)[self.problem.places(stage.problem)], damping)
+        return trial, [stage.initial for stage in self.work]
+
+    def _at(self, place: "_Place") -> dict[str, float]:
+        """Put the windows' initial states there; return θ."""
+        for stage, initial in zip(self.work, place[1], strict=True):
+            stage.initial = initial
+        return self.problem.named(place[0])
+
+
+_Place = tuple[Array, list[Array]]
 
 
 class _Work:

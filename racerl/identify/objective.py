@@ -12,6 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from racerl.estimation.levenberg_marquardt import bounded_step
+from racerl.estimation.schur import WindowEquations
 from racerl.identify.unknowns import Unknowns
 from racerl.vehicle.rollout import Rollout, Windows
 
@@ -27,29 +29,12 @@ class Point:
 
 
 @dataclass(frozen=True)
-class Linearised:
-    """The objective at a point. Shares of the windows: H over θ, θ × x_0 and x_0, and the gradients."""
+class Linearised(WindowEquations):
+    """The objective at a point, and the normal equations of the windows' shares of it."""
 
     cost: float
     data: float
     squares: Array
-    tt: Array
-    tx: Array
-    xx: Array
-    t: Array
-    x: Array
-
-    def reduced(self, damping: float = 0.0) -> tuple[Array, Array]:
-        """Return H (W, P, P) and gradient (W, P) over θ with each window's initial state eliminated."""
-        inverse = self.inverse(damping)
-        gain = self.tx @ inverse
-        return self.tt - gain @ self.tx.transpose(0, 2, 1), self.t - np.einsum("wpx,wx->wp", gain, self.x)
-
-    def inverse(self, damping: float) -> Array:
-        """Return the damped inverse of the initial states' H, (W, A, A)."""
-        diagonal = np.einsum("waa->wa", self.xx)
-        ridge = damping * diagonal + 1e-9 * diagonal.max(axis=1, keepdims=True) + 1e-300
-        return np.linalg.inv(self.xx + ridge[:, :, None] * np.eye(self.xx.shape[1]))
 
 
 class Objective:
@@ -95,45 +80,32 @@ class Objective:
         if not np.isfinite(data) or not np.isfinite(equations.H).all():
             data = np.inf
         return Linearised(
-            data + self.prior(point.theta),
-            data,
-            equations.squares,
             equations.H[:, :P, :P],
             equations.H[:, :P, P:],
             equations.H[:, P:, P:],
             equations.g[:, :P],
             equations.g[:, P:],
+            data + self.prior(point.theta),
+            data,
+            equations.squares,
         )
 
     def moved(self, point: Point, linearised: Linearised, theta: Array, damping: float) -> Point:
         """Return the point at other parameters, each window's initial state following by its own Gauss–Newton step."""
-        gradient = linearised.x + np.einsum("wpx,p->wx", linearised.tx, theta - point.theta)
-        step = -np.einsum("wxy,wy->wx", linearised.inverse(damping), gradient)
         initial = point.initial.copy()
-        initial[self.active] += step.T
+        initial[self.active] += linearised.follow(theta - point.theta, damping)
         return Point(theta, initial)
+
+    def step(self, point: Point, at: Linearised, damping: float) -> Point:
+        """Return the point after one damped Gauss–Newton step inside the bounds."""
+        unknowns, scale = self.unknowns, self.unknowns.sigma
+        H, g = at.reduced(damping)
+        stiffness = H.sum(axis=0) * np.outer(scale, scale) + self.penalty * np.eye(len(scale))
+        slope = g.sum(axis=0) * scale + self.penalty * (point.theta - unknowns.start) / scale
+        theta = bounded_step(stiffness, slope, point.theta, unknowns.low, unknowns.high, scale, damping)
+        return self.moved(point, at, theta, damping)
 
     def residuals(self, point: Point) -> Array:
         """Return the unweighted residuals x − y of the observed channels, (T + 1, C, W)."""
         windows = replace(self.windows, initial=point.initial)
         return self.rollout.predict(point.theta, windows, self.threads) - windows.measured
-
-
-def independent_residuals(residuals: Array) -> float:
-    """Return how many independent numbers the residuals (T, C, W) are worth: Σ_c T·W/τ_c.
-
-    τ = 1 + 2 Σ ρ_k is the integrated autocorrelation time of a channel, summed until ρ falls below 0.05.
-    """
-    length, channels, count = residuals.shape
-    total = 0.0
-    for c in range(channels):
-        e = residuals[:, c]
-        power = (e**2).mean()
-        tau = 1.0
-        for lag in range(1, length):
-            rho = (e[lag:] * e[:-lag]).mean() / power if power > 0 else 0.0
-            if rho < 0.05:
-                break
-            tau += 2.0 * rho
-        total += length * count / tau
-    return total

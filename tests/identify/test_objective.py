@@ -5,8 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from racerl.estimation.independence import independent_residuals
 from racerl.identify.methods.adamw import torch_gradient
-from racerl.identify.objective import Objective, Point, independent_residuals
+from racerl.identify.objective import Objective, Point
 from racerl.identify.unknowns import choose_unknowns
 from racerl.vehicle.rollout import Rollout
 from tests.vehicle.conftest import make_car

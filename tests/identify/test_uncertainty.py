@@ -24,9 +24,8 @@ def linear_fit(seed, design=None, count=120, noise=0.3):
     theta = np.linalg.solve(tt.sum(0) + 1e-9 * np.eye(3), np.einsum("wki,wk->i", J, y))
     e = J @ theta - y
     none = np.zeros((count, 3, 1))
-    at = Linearised(
-        1.0, float((e**2).sum()), e**2, tt, none, np.ones((count, 1, 1)), np.einsum("wki,wk->wi", J, e), none[:, 0]
-    )
+    t, x, xx = np.einsum("wki,wk->wi", J, e), none[:, 0], np.ones((count, 1, 1))
+    at = Linearised(tt, none, xx, t, x, cost=1.0, data=float((e**2).sum()), squares=e**2)
     names = ("a", "b", "c")
     specification = (Parameter("", -9, 9, ""),) * 3
     unknowns = Unknowns(names, np.zeros(3), np.ones(3), np.full(3, -9.0), np.full(3, 9.0), specification)

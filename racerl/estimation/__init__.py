@@ -1,0 +1,1 @@
+"""Estimating parameters from rollouts: what identification and the gap workflow both stand on."""
