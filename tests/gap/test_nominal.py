@@ -1,0 +1,107 @@
+"""The fit under every diagnosis: it reaches the noise from a car that is far off, and more unknowns never cost more."""
+
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from racerl.gap.investigation import Investigation
+from racerl.vehicle.parameter import replace_values, values
+from tests.gap.conftest import configured, drive, investigate
+
+pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler on this machine")
+STIFF = {  # tyres four times as stiff as the configured car's, and of another shape
+    "front.p_Ky1": 8.0,
+    "rear.p_Ky1": 10.0,
+    "front.p_Cy1": 1.3,
+    "rear.p_Cy1": 1.4,
+    "front.p_Ey1": -0.5,
+    "rear.p_Ey1": -0.3,
+    "front.p_Kx1": 9.0,
+    "rear.p_Kx1": 12.0,
+}
+WORDS = [f"vehicle.{name}={value}" for name, value in STIFF.items()]
+
+
+@pytest.fixture(scope="module")
+def stiff():
+    return drive(*WORDS, seconds=90.0)
+
+
+@pytest.fixture(scope="module")
+def found(stiff):
+    return investigate(stiff, "yaw_damping", "drive_delay")
+
+
+def test_it_reaches_the_noise_from_tyres_that_are_far_off(found):
+    for stage, cost in found.base.cost.items():
+        assert cost.sum() < 1.05 * found.floor[stage], stage
+    assert found.base.fit.converged
+    for name in ("front.p_Ky1", "rear.p_Ky1"):
+        assert found.base.theta[name] == pytest.approx(STIFF[name], rel=0.05)
+
+
+def test_where_it_starts_does_not_matter(stiff, found):
+    right, _ = configured()
+    off = replace_values(right, {"front.p_Ky1": 3.0, "rear.p_Ky1": 4.0, "rear.p_Dy1": 0.6, "yaw_inertia": 0.12})
+    other = investigate(stiff, vehicle=off)
+    for stage, cost in found.base.cost.items():
+        assert other.base.cost[stage].sum() == pytest.approx(cost.sum(), rel=0.01)
+    for name in ("front.p_Ky1", "rear.p_Ky1", "yaw_inertia"):
+        assert other.base.theta[name] == pytest.approx(found.base.theta[name], rel=0.02)
+
+
+def test_two_starts_that_end_apart_ask_for_more(stiff, monkeypatch):
+    """The fit tries other starts until the best end is met twice."""
+    grown, ends = Investigation._grown, []
+
+    def first_end_badly(investigation, vehicle):
+        end = grown(investigation, vehicle)
+        ends.append(end)
+        return replace(end, cost={name: part * 3.0 for name, part in end.cost.items()}) if len(ends) < 2 else end
+
+    monkeypatch.setattr(Investigation, "_grown", first_end_badly)
+    found = investigate(stiff)
+    assert len(ends) == 4 and found.base.cost["chassis"].sum() < 1.05 * found.floor["chassis"]
+
+
+def test_an_effect_more_never_costs_more(found):
+    base = found.base
+    for name in ("yaw_damping", "drive_delay"):
+        vehicle = found.joined(base.vehicle, name, found.catalogue[name][0])
+        more = found.converged(found.add(base, name, vehicle))
+        for stage, cost in more.cost.items():
+            assert cost.sum() <= base.cost[stage].sum() * 1.001, (name, stage)
+        # the other stages stay as they are when all are identified again
+        everywhere = found.everywhere(more)
+        for stage, cost in everywhere.cost.items():
+            assert cost.sum() <= base.cost[stage].sum() * 1.001, (name, stage)
+
+
+def test_a_candidate_starts_anew_in_its_own_stages_only(found, monkeypatch):
+    """Where the fit is astray a candidate starts as configured, too; what other stages found is kept."""
+    monkeypatch.setattr(Investigation, "beyond", lambda *asked: 100.0)
+    tried = []
+    monkeypatch.setattr(
+        Investigation, "_try", lambda self, base, name, vehicle, stages: tried.append(vehicle) or _screened(vehicle)
+    )
+    found.screen(found.base, "drive_delay")
+    fitted, given = values(found.base.vehicle), values(found.vehicle)
+    assert len(tried) % 2 == 0
+    again, anew = values(tried[0]), values(tried[-1])
+    assert float(again["drive.time_constant"]) == pytest.approx(float(fitted["drive.time_constant"]))
+    assert float(anew["drive.time_constant"]) == pytest.approx(float(given["drive.time_constant"]))
+    assert float(anew["rear.p_Ky1"]) == pytest.approx(float(fitted["rear.p_Ky1"]))
+
+
+def _screened(vehicle):
+    return type("Screened", (), {"gain": 0.0, "vehicle": vehicle})()
+
+
+def test_priors_are_as_strong_as_what_is_left_asks_for(clean, damped):
+    """At the noise every number counts; beside a hidden effect, errors that hang together count for fewer."""
+    alone, beside = (investigate(log).base.strength for log in (clean, damped))
+    assert all(strength < 10.0 for strength in alone.values())
+    assert beside["chassis"] > 2.0 * alone["chassis"]
+    assert np.isclose(beside["steering"], alone["steering"], rtol=0.5)
