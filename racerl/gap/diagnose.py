@@ -57,7 +57,7 @@ def gap(settings: Mapping[str, Any], out: Path, on_progress: OnProgress = lambda
     folder = RunFolder.start(out, "gap", settings, seed=settings["seed"], threads=settings["threads"])
     on_progress("refitting the vehicle", 0.0)
     evidence = cut(logs, settings)
-    told = {
+    told: dict[str, Any] = {
         "logs": [log.facts() for log in logs],
         "remarks": [
             f"{log.name}: {line}" for log in logs for line in inspect(log, float(vehicle.wheelbase))["warnings"]
@@ -70,6 +70,7 @@ def gap(settings: Mapping[str, Any], out: Path, on_progress: OnProgress = lambda
     else:
         checkpoint = Checkpoint.of(folder.path, settings, evidence)
         investigation = investigate(evidence, logs, vehicle, settings, checkpoint)
+        told["remarks"] += investigation.doubts()
         whole = chain(logs, settings)
         facts, found = _steps(investigation, whole, settings, folder.path, told, on_progress)
         _write_vehicle(folder.path / MODEL, settings, facts, investigation, found)

@@ -190,6 +190,7 @@ class Investigation:
         found: list[Found] = []
         while len(found) < len(starts) and not self._met_twice(found):
             found += self.each(self._grown, starts[len(found) : len(found) + 2])
+        self.met_twice = self._met_twice(found)
         best = min(found, key=self._loss)
         for name, errors in self.errors(best).items():
             left = (errors**2).mean(axis=(0, 2))
@@ -201,6 +202,15 @@ class Investigation:
         """Return whether the two best fits ended at the same cost."""
         losses = sorted(self._loss(each) for each in found)
         return len(losses) > 1 and losses[1] <= (1.0 + TWICE) * losses[0]
+
+    def doubts(self) -> list[str]:
+        """Return what speaks against the refit's being the best there is, a line each."""
+        lines = []
+        if not self.met_twice:
+            lines.append(f"the refit ended elsewhere from each of {STARTS} starts: another may fit better")
+        if not self.base.fit.converged:
+            lines.append(f"the refit still gained after {ROUNDS * NOMINAL} steps: it may not be the best there is")
+        return lines
 
     def _grown(self, vehicle: Vehicle) -> Found:
         """Fit the vehicle without effects to windows that grow, so that it gets to where long ones lead it right."""

@@ -64,6 +64,13 @@ def test_two_starts_that_end_apart_ask_for_more(stiff, monkeypatch):
     monkeypatch.setattr(Investigation, "_grown", first_end_badly)
     found = investigate(stiff)
     assert len(ends) == 4 and found.base.cost["chassis"].sum() < 1.05 * found.floor["chassis"]
+    assert found.doubts() == []
+
+
+def test_a_refit_that_is_met_once_only_is_doubted(clean, monkeypatch):
+    losses = iter(range(1, 1000))
+    monkeypatch.setattr(Investigation, "_loss", lambda *asked: float(next(losses)))
+    assert "from each of 6 starts" in investigate(clean).doubts()[0]
 
 
 def test_an_effect_more_never_costs_more(found):
