@@ -80,7 +80,7 @@ class Scored:
         return self.gain > CLEAR * self.error
 
     @property
-    def wanted(self) -> bool:
+    def needed(self) -> bool:
         """Whether the effect is needed.
 
         A small one beside a large one has to explain most of what that one leaves, and not look like it. Where the
@@ -126,10 +126,10 @@ def name_effects(
             scores = investigation.scores(decision.found)
         part = number * REVIEW / ROUNDS, (number + 1) * REVIEW / ROUNDS
         scored = _round(judge, decision, scores, within(on_progress, *part))
-        while scored and scored[0].wanted and _deaf(judge, decision, scored[0]):
+        while scored and scored[0].needed and _passes_less_noise(judge, decision, scored[0]):
             scored = judge.ranked(scored[1:], decision.cost)
         decision.rounds.append(scored)
-        if not scored or not scored[0].wanted:
+        if not scored or not scored[0].needed:
             break
         decision = _with(investigation, decision, scored)
     return _settled(investigation, _reviewed(judge, decision, within(on_progress, REVIEW, 1.0)))
@@ -156,7 +156,7 @@ def _changed(investigation: Investigation, decision: Decision, kept: dict[str, l
     return replace(decision, kept=kept, found=found, cost=cost, noise=noise, excess=left)
 
 
-def _deaf(judge: "Judge", decision: Decision, best: Scored) -> bool:
+def _passes_less_noise(judge: "Judge", decision: Decision, best: Scored) -> bool:
     """Return whether a candidate gains by passing on less of the measured inputs' noise, not by knowing the car.
 
     Soft tyres that lag, and a time shift that takes the lag back, smooth what drives a slow car.
@@ -252,11 +252,11 @@ def _judged_again(judge: "Judge", decision: Decision, name: str) -> Decision:
     others = {other: rows for other, rows in decision.kept.items() if other != name}
     without = _changed(investigation, decision, others, less)
     own = judge.score(name, decision.found, without.cost, without.noise)
-    if not own.wanted:
+    if not own.needed:
         return without
     near = [row for row in decision.kept[name][1:] if close(row) and row.name not in others]
     rivals = investigation.each(lambda row: _instead(judge, without, row), near)
-    sound = [rival for rival in rivals if rival.wanted and not _deaf(judge, without, rival)]
+    sound = [rival for rival in rivals if rival.needed and not _passes_less_noise(judge, without, rival)]
     rows = judge.ranked([own, *sound], without.cost)
     kept = dict((rows[0].name, rows) if other == name else (other, kept) for other, kept in decision.kept.items())
     if rows[0].name == name:

@@ -98,18 +98,18 @@ class StageProblem:
         return [self.evidence.stage.name, self.evidence.early, self.names, self.sigma, table, of_effects]
 
     def columns(self) -> list[int]:
-        """Return the kernel's unknowns that are needed: parameters, shifts, and initial states that are heard."""
+        """Return the kernel's unknowns that are needed: parameters, shifts, and initial states that act."""
         names = self.rollout.names
         asked = [i for i, share in enumerate(np.abs(self.mixing).sum(axis=1)) if share > 0.0]
-        return asked + [len(names) + i for i, state in enumerate(self.rollout.active) if self.heard(state)]
+        return asked + [len(names) + i for i, state in enumerate(self.rollout.active) if self.has(state)]
 
-    def heard(self, state: str) -> bool:
+    def has(self, state: str) -> bool:
         """Return whether a state is the car's own, or one of an effect that is present."""
         return state in STATE or state.split(".")[0] in self.vehicle.effects
 
     def silent(self) -> set[str]:
         """Return the states of effects that are absent."""
-        return {state for state in self.rollout.active if not self.heard(state)}
+        return {state for state in self.rollout.active if not self.has(state)}
 
     @cached_property
     def memory(self) -> dict[int, str]:
@@ -118,7 +118,7 @@ class StageProblem:
             row: name
             for row, state in enumerate(self.rollout.vehicle.states)
             for name in self.names
-            if row >= len(STATE) and self.heard(state) and _remembered(self.vehicle, state, name)
+            if row >= len(STATE) and self.has(state) and _remembered(self.vehicle, state, name)
         }
 
     def shifts(self, theta: Mapping[str, float]) -> tuple[float, float]:
@@ -177,9 +177,9 @@ class StageProblem:
     def own_states(self) -> Array:
         """The effects' own states along the log (S − 8, R), led by the measured motion."""
         car = self.evidence.stage.vehicle(self.vehicle)
-        heard = dict(zip(car.states[len(STATE) :], follow(car, self.evidence), strict=True))
+        followed = dict(zip(car.states[len(STATE) :], follow(car, self.evidence), strict=True))
         silent = np.zeros(len(self.evidence.first))
-        return np.array([heard.get(name, silent) for name in self.rollout.vehicle.states[len(STATE) :]])
+        return np.array([followed.get(name, silent) for name in self.rollout.vehicle.states[len(STATE) :]])
 
 
 def _with(vehicle: Vehicle, theta: Mapping[str, float]) -> Vehicle:
@@ -235,7 +235,7 @@ class Linear(WindowEquations):
         """Return the same over θ of which the rows' parameters are M θ."""
         return replace(self, tt=M.T @ self.tt @ M, tx=M.T @ self.tx, t=self.t @ M)
 
-    def led(self, slope: Array) -> "Linear":
+    def with_remembered(self, slope: Array) -> "Linear":
         """Return the same over θ that leads initial states, too, by `slope` (W, A, N)."""
         back = slope.transpose(0, 2, 1)
         shared = self.tx @ slope
@@ -544,11 +544,11 @@ class _Work:
         self.windows = self._cut(theta)
         self.initial = self.windows.initial.copy()
         if problem.vehicle.states != STATE:
-            self._led = (problem.at(theta) if problem.names else problem).own_states
-            self.initial[len(STATE) :] = self._starts(self._led)
+            self._followed = (problem.at(theta) if problem.names else problem).own_states
+            self.initial[len(STATE) :] = self._starts(self._followed)
         states = problem.rollout.vehicle.states
         self.columns, self.silent = problem.columns(), problem.silent()
-        active = [name for name in problem.rollout.active if problem.heard(name)]
+        active = [name for name in problem.rollout.active if problem.has(name)]
         self.rows = [states.index(name) for name in active]
         used = [i for i in self.columns if i < len(problem.rollout.names)]
         self.mixing = problem.mixing[used]
@@ -594,7 +594,7 @@ class _Work:
         with np.errstate(invalid="ignore"):  # windows that blow up make the cost infinite
             raw = Linear.of(parts, len(M), self.problem.evidence).mixed(M)
             if self.problem.memory:
-                raw = raw.led(slope)
+                raw = raw.with_remembered(slope)
         away = self._away()
         cost = raw.cost + (away**2 * self.precision).sum(axis=1)
         if not np.isfinite(parts.H).all():
@@ -618,7 +618,7 @@ class _Work:
         drift = np.zeros_like(self.initial)
         slope = np.zeros((self.initial.shape[1], len(self.rows), len(self.problem.names)))
         for row, name in self.problem.memory.items():
-            followed, now = self._led[row - len(STATE)], theta[name]
+            followed, now = self._followed[row - len(STATE)], theta[name]
             at, beyond = (
                 self._starts(lagged(followed, self.problem.evidence, self._began[name], time))
                 for time in (now, now * (1.0 + MEMORY_STEP))

@@ -56,10 +56,10 @@ def score(problem: StageProblem, unknowns: Sequence[Unknown], theta: Mapping[str
     windows = problem.windows(theta)
     windows.initial[: len(STATE)] = initial[: len(STATE)]
     windows.initial[len(STATE) :] = follow(car, problem.evidence)[:, problem.evidence.start]
-    heard = [size + i for i, name in enumerate(rollout.active) if problem.heard(name)]
-    asked = [*range(size), *heard]
+    present = [size + i for i, name in enumerate(rollout.active) if problem.has(name)]
+    asked = [*range(size), *present]
     parts = rollout.accumulate(problem.parameters(theta), windows, columns=asked, silent=problem.silent())
-    trust = np.array([problem.evidence.trust(rollout.active[i - size]) for i in heard])
+    trust = np.array([problem.evidence.trust(rollout.active[i - size]) for i in present])
     line = Linear.of(parts, size, problem.evidence)
     line = replace(line, xx=line.xx + np.diag(trust))
     H, g = (part.sum(axis=0) for part in line.reduced(0.0))

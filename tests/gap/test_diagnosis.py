@@ -23,9 +23,9 @@ from racerl.gap.name import (
     Judge,
     Scored,
     _changed,
-    _deaf,
     _hopeful,
     _idle,
+    _passes_less_noise,
     _reviewed,
     equals,
     intervals,
@@ -300,7 +300,7 @@ def test_rivals_explain_as_much_for_their_parameters():
 )
 def test_effects_are_judged_again_beside_those_found_after_them(monkeypatch, shares, chosen, rivals):
     monkeypatch.setattr("racerl.gap.name.excess", lambda *_: 0.0)
-    monkeypatch.setattr("racerl.gap.name._deaf", lambda *_: False)
+    monkeypatch.setattr("racerl.gap.name._passes_less_noise", lambda *_: False)
 
     def fit(names):
         left = {"chassis": 1.0 - {"": 0.0, **shares}["".join(name for name in "val" if name in names)]}
@@ -309,7 +309,7 @@ def test_effects_are_judged_again_beside_those_found_after_them(monkeypatch, sha
 
     def score(name, found, before, noise):
         part = 1.0 - found.cost["chassis"] / before["chassis"]
-        row = {"explained": part, "gain": part, "wanted": part > 0.04, "clear": True, "size": 1, "behind": 0.0}
+        row = {"explained": part, "gain": part, "needed": part > 0.04, "clear": True, "size": 1, "behind": 0.0}
         return SimpleNamespace(name=name, found=found, cost=found.cost, **row)
 
     def ranked(rows, cost):
@@ -397,7 +397,7 @@ def test_an_effect_is_known_no_better_than_its_form(name, values, key, deviation
 
 
 @pytest.mark.parametrize(
-    ("noise", "cost", "deaf"),
+    ("noise", "cost", "less"),
     [
         (990.0, 100.0, False),
         (900.0, 100.0, True),
@@ -405,13 +405,13 @@ def test_an_effect_is_known_no_better_than_its_form(name, values, key, deviation
         (1100.0, 100.0, False),
     ],
 )
-def test_a_gain_that_is_noise_passed_on_no_longer_is_none(monkeypatch, noise, cost, deaf):
+def test_a_gain_that_is_noise_passed_on_no_longer_is_none(monkeypatch, noise, cost, less):
     """Ten windows at the cost of a usual one, where half of the noise's cost is in the loss."""
     monkeypatch.setattr("racerl.gap.name.wild", lambda *_: 30.0 * 100.0)
     judge = Judge(SimpleNamespace(noise_cost=lambda _: {"chassis": noise}), 0, {})
     decision = SimpleNamespace(cost={"chassis": np.full(10, cost)}, noise={"chassis": 1000.0})
     best = SimpleNamespace(found=None, gain=55.0, error=5.0)
-    assert _deaf(judge, decision, best) == deaf
+    assert _passes_less_noise(judge, decision, best) == less
 
 
 def test_a_rear_driven_split_is_no_idle_effect():
@@ -455,10 +455,10 @@ def test_a_small_effect_beside_a_large_one_must_explain_what_is_left_and_not_loo
     assert score.likeness("steering_nonlinearity", ["steering_saturation"]) == pytest.approx(0.9)
     assert score.likeness("aero_drag", ["steering_saturation"]) == score.likeness("aero_drag", []) == 0.0
     small = Scored("steering_nonlinearity", None, {}, 90.0, 10.0, 0.0, explained=0.9, worth=0.02, before=1.0)
-    assert small.wanted and not dataclasses.replace(small, like=0.9).wanted
-    assert dataclasses.replace(small, like=0.9, worth=0.05).wanted
-    assert not dataclasses.replace(small, explained=0.5).wanted
-    assert not dataclasses.replace(small, error=40.0).wanted
+    assert small.needed and not dataclasses.replace(small, like=0.9).needed
+    assert dataclasses.replace(small, like=0.9, worth=0.05).needed
+    assert not dataclasses.replace(small, explained=0.5).needed
+    assert not dataclasses.replace(small, error=40.0).needed
 
 
 def test_effects_that_are_one_in_a_log_are_rivals(monkeypatch):
