@@ -7,7 +7,6 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 for library in ("OMP", "OPENBLAS", "MKL"):
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
 
-import fcntl
 import logging
 import sys
 from collections.abc import Callable
@@ -22,6 +21,7 @@ import torch
 from racerl.assemble import build_track, conf_folder
 from racerl.cli import main
 from racerl.config import compose_settings
+from racerl.documents import alone
 from racerl.evaluate.evaluate import evaluate
 from racerl.train.train import train
 
@@ -63,8 +63,7 @@ def once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[P
     root = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
 
     def made(name: str, make: Callable[[Path], None]) -> Path:
-        with (root / f"{name}.lock").open("w") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)
+        with alone(root / f"{name}.lock"):
             if not (root / name).exists():
                 make(base / name)
                 (base / name).rename(root / name)

@@ -244,7 +244,7 @@ class Investigation:
         return found
 
     def _loss(self, found: Found) -> float:
-        """Return F of a fit, n the noise's cost; infinite where a window blew up."""
+        """Return the loss of a fit, its priors apart, n the noise's cost; infinite where a window blew up."""
         parts = (float(loss(part, self.evidence[name].numbers).sum()) for name, part in found.cost.items())
         return float(np.nan_to_num(sum(parts), nan=np.inf))
 

@@ -345,19 +345,16 @@ class Problem:
             if initial is not None:
                 stage.take(theta, initial[i])
         start = np.array([theta[name] for name in self.names]), [stage.initial for stage in work]
-        end = descend(_Landscape(self, work), start, iterations, tolerance)
-        (vector, _), at = end.place, end.slope
-        return self._result(work, vector, at.lines, end.converged)
+        landscape = _Landscape(self, work)
+        end = descend(landscape, start, iterations, tolerance)
+        landscape.put(end.place)  # the step tried last may have been in vain
+        return self._result(work, end.place[0], end.slope.lines, end.converged)
 
     def named(self, vector: Array) -> dict[str, float]:
         """Return θ by name."""
         return dict(zip(self.names, vector.tolist(), strict=True))
 
-    def prior(self, fit: Fit) -> float:
-        """Return Σ ((θ − θ_0)/s)² of a fit."""
-        return self.prior_at(self._vector(fit))
-
-    def prior_at(self, vector: Array) -> float:
+    def prior(self, vector: Array) -> float:
         """Return Σ λ ((θ − θ_0)/s)²."""
         return float((((vector - self.mean) / self.scale) ** 2).sum())
 
@@ -508,17 +505,17 @@ class _Landscape:
         self.problem, self.work = problem, work
 
     def linearise(self, place: "_Place") -> _Slope:
-        theta = self._at(place)
+        theta = self.put(place)
         lines = [stage.linearise(theta) for stage in self.work]
-        total = sum(line.loss for line in lines) + self.problem.prior_at(place[0])
+        total = sum(line.loss for line in lines) + self.problem.prior(place[0])
         return _Slope(total if np.isfinite(total) else np.inf, lines)
 
     def cost(self, place: "_Place") -> float:
-        theta = self._at(place)
-        return sum((stage.losses(theta) for stage in self.work), self.problem.prior_at(place[0]))
+        theta = self.put(place)
+        return sum((stage.losses(theta) for stage in self.work), self.problem.prior(place[0]))
 
     def step(self, place: "_Place", slope: _Slope, damping: float) -> "_Place":
-        self._at(place)
+        self.put(place)
         vector = place[0]
         trial = self.problem.step(slope.lines, vector, damping)
         theta = self.problem.named(trial)
@@ -526,7 +523,7 @@ class _Landscape:
             stage.move(theta, line, (trial - vector)[self.problem.places(stage.problem)], damping)
         return trial, [stage.initial for stage in self.work]
 
-    def _at(self, place: "_Place") -> dict[str, float]:
+    def put(self, place: "_Place") -> dict[str, float]:
         """Put the windows' initial states there; return θ."""
         for stage, initial in zip(self.work, place[1], strict=True):
             stage.initial = initial

@@ -30,13 +30,8 @@ TABLES = (".csv", ".csv.gz", ".parquet")
 
 
 def fuzz(cases: int) -> settings:
-    few = settings.get_current_profile_name() != "thorough"
-    return settings(
-        max_examples=cases // 5 if few else cases,
-        suppress_health_check=list(HealthCheck),
-        derandomize=True,
-        database=None,
-    )
+    most = cases if settings.get_current_profile_name() == "thorough" else cases // 5
+    return settings(max_examples=most, suppress_health_check=list(HealthCheck), derandomize=True, database=None)
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from racerl.gap.investigation import Investigation
+from racerl.gap.investigation import Investigation, Screened
 from racerl.vehicle.parameter import replace_values, values
 from tests.gap.conftest import configured, drive, investigate
 
@@ -91,7 +91,9 @@ def test_a_candidate_starts_anew_in_its_own_stages_only(found, monkeypatch):
     monkeypatch.setattr(Investigation, "beyond", lambda *asked: 100.0)
     tried = []
     monkeypatch.setattr(
-        Investigation, "_try", lambda self, base, name, vehicle, stages: tried.append(vehicle) or _screened(vehicle)
+        Investigation,
+        "_try",
+        lambda self, base, name, vehicle, stages: tried.append(vehicle) or Screened(name, vehicle, 0.0, "drive"),
     )
     found.screen(found.base, "drive_delay")
     fitted, given = values(found.base.vehicle), values(found.vehicle)
@@ -102,13 +104,19 @@ def test_a_candidate_starts_anew_in_its_own_stages_only(found, monkeypatch):
     assert float(anew["rear.p_Ky1"]) == pytest.approx(float(fitted["rear.p_Ky1"]))
 
 
-def _screened(vehicle):
-    return type("Screened", (), {"gain": 0.0, "vehicle": vehicle})()
-
-
 def test_priors_are_as_strong_as_what_is_left_asks_for(clean, damped):
     """At the noise every number counts; beside a hidden effect, errors that hang together count for fewer."""
     alone, beside = (investigate(log).base.strength for log in (clean, damped))
     assert all(strength < 10.0 for strength in alone.values())
     assert beside["chassis"] > 2.0 * alone["chassis"]
     assert np.isclose(beside["steering"], alone["steering"], rtol=0.5)
+
+
+def test_steps_in_vain_leave_no_trace(clean, monkeypatch):
+    """Where no step helps, the fit is what it was at the start, initial states too."""
+    problem, fit = (part := investigate(clean).base).problem, part.fit
+    monkeypatch.setattr("racerl.gap.problem._Landscape.cost", lambda *asked: np.inf)
+    again = problem.fit(fit.theta, fit.initial, iterations=3)
+    assert again.theta == fit.theta
+    for before, after in zip(fit.initial, again.initial, strict=True):
+        assert np.array_equal(before, after)
