@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from racerl.bench import Compose, Progress
 from racerl.data.log import Log
+from racerl.estimation.unknowns import choose_unknowns
 from racerl.identify.folds import deal
 from racerl.identify.identify import identify
 from racerl.identify.methods import Fit
@@ -27,7 +28,6 @@ from racerl.identify.methods.gauss_newton import GaussNewton
 from racerl.identify.objective import Objective
 from racerl.identify.scored import Scored
 from racerl.identify.task import Task, make_task
-from racerl.identify.unknowns import choose_unknowns
 from racerl.identify.windows import choose_wiring
 from racerl.record.record import Plan, encode, table
 from racerl.vehicle.load import load_vehicle

@@ -14,6 +14,7 @@ from racerl.data.inspect import inspect
 from racerl.data.load import load_measured
 from racerl.data.log import POSE, Log
 from racerl.documents import conf_folder, write_json, write_text
+from racerl.estimation.unknowns import choose_unknowns
 from racerl.gap import residual
 from racerl.gap.catalogue import starts
 from racerl.gap.checkpoint import Checkpoint
@@ -26,7 +27,6 @@ from racerl.gap.stage import CHAIN, Stage, stages
 from racerl.gap.verdict import Verdict, judge, separable
 from racerl.identify.document import write_model
 from racerl.identify.uncertainty import IDENTIFIED
-from racerl.identify.unknowns import choose_unknowns
 from racerl.run import RunFolder
 from racerl.vehicle import catalogue
 from racerl.vehicle.load import load_vehicle, vehicle_document

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from racerl.estimation.unknowns import Unknowns
 from racerl.gap.catalogue import placed
 from racerl.gap.checkpoint import Checkpoint, Parts
 from racerl.gap.evidence import Evidence
@@ -23,7 +24,6 @@ from racerl.gap.growth import places
 from racerl.gap.kernels import StageKernels
 from racerl.gap.problem import Fit, Problem, StageProblem, Unknown, expected_errors, loss, usual_cost
 from racerl.gap.score import Score, score, summed
-from racerl.identify.unknowns import Unknowns
 from racerl.vehicle.effects import Effect
 from racerl.vehicle.parameter import replace_values, specifications, values
 from racerl.vehicle.vehicle import Vehicle

@@ -21,6 +21,7 @@ from racerl.data.load import load_measured
 from racerl.data.log import CHANNELS, separate
 from racerl.documents import write_json, write_parquet
 from racerl.errors import ConfigError, LogError
+from racerl.estimation.unknowns import choose_unknowns
 from racerl.identify.document import write_model
 from racerl.identify.folds import deal
 from racerl.identify.score import ErrorSum
@@ -28,7 +29,6 @@ from racerl.identify.scored import Scored
 from racerl.identify.task import Solution, Task, make_task, plan, solve
 from racerl.identify.tyres import slips_covered, tyre_curves
 from racerl.identify.uncertainty import Uncertainty, describe
-from racerl.identify.unknowns import choose_unknowns
 from racerl.identify.verdict import judge
 from racerl.identify.windows import INPUTS, choose_wiring
 from racerl.identify.work import Progress, Work

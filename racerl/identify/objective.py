@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from racerl.estimation.levenberg_marquardt import bounded_step
 from racerl.estimation.schur import WindowEquations
-from racerl.identify.unknowns import Unknowns
+from racerl.estimation.unknowns import Unknowns
 from racerl.vehicle.rollout import Rollout, Windows
 
 Array = NDArray[np.float64]

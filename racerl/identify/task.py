@@ -15,11 +15,11 @@ from racerl import registry
 from racerl.data.log import CHANNELS, Log
 from racerl.errors import ConfigError, suggest
 from racerl.estimation.independence import independent_residuals
+from racerl.estimation.unknowns import Unknowns
 from racerl.identify import methods as methods_package
 from racerl.identify.methods import Fit, Method
 from racerl.identify.objective import Objective
 from racerl.identify.uncertainty import Uncertainty, estimate
-from racerl.identify.unknowns import Unknowns
 from racerl.identify.windows import Cut, Wiring, channel_scale, cut
 from racerl.identify.work import Work
 from racerl.vehicle.rollout import Equations, Rollout

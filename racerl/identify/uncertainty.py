@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from racerl.estimation.unknowns import Unknowns
 from racerl.identify.methods import Fit
 from racerl.identify.objective import Objective
-from racerl.identify.unknowns import Unknowns
 from racerl.identify.windows import Cut
 
 Array = NDArray[np.float64]

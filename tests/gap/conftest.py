@@ -7,11 +7,11 @@ import pytest
 from racerl.assemble import conf_folder
 from racerl.config import compose_settings
 from racerl.data.log import Log
+from racerl.estimation.unknowns import choose_unknowns
 from racerl.gap.catalogue import starts
 from racerl.gap.evidence import Evidence
 from racerl.gap.investigation import Investigation
 from racerl.gap.stage import CHASSIS, DRIVE, STEERING
-from racerl.identify.unknowns import choose_unknowns
 from racerl.record.record import Plan, table
 from racerl.vehicle.load import load_vehicle
 from racerl.vehicle.vehicle import Vehicle

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+from racerl.estimation.unknowns import choose_unknowns
 from racerl.gap.evidence import SMOOTH, Evidence
 from racerl.gap.follow import follow, lagged
 from racerl.gap.investigation import COG, Investigation, Screened
@@ -18,7 +19,6 @@ from racerl.gap.presence import with_all
 from racerl.gap.problem import WAYS, Problem, StageKernels, StageProblem, Unknown, _Work, loss
 from racerl.gap.stage import CHASSIS, DRIVE, STEERING
 from racerl.gap.verdict import judge
-from racerl.identify.unknowns import choose_unknowns
 from racerl.vehicle.ops import TORCH
 from racerl.vehicle.parameter import replace_values, values
 from racerl.vehicle.rollout import Windows

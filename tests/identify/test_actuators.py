@@ -3,8 +3,8 @@
 import pytest
 
 from racerl.data.load import load_given
+from racerl.estimation.unknowns import choose_unknowns
 from racerl.identify.task import make_task, own_parameters
-from racerl.identify.unknowns import choose_unknowns
 from racerl.identify.windows import choose_wiring
 from racerl.vehicle.load import load_vehicle
 from racerl.vehicle.parameter import values

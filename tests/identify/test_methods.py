@@ -7,11 +7,11 @@ import pytest
 
 from racerl.data.load import load_given
 from racerl.errors import ConfigError
+from racerl.estimation.unknowns import choose_unknowns
 from racerl.identify.methods.adamw import Adamw
 from racerl.identify.methods.gauss_newton import GaussNewton
 from racerl.identify.objective import Objective
 from racerl.identify.uncertainty import estimate
-from racerl.identify.unknowns import choose_unknowns
 from racerl.identify.windows import channel_scale, choose_wiring, cut
 from racerl.vehicle.load import load_vehicle
 from racerl.vehicle.rollout import Rollout

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from racerl.estimation.independence import independent_residuals
+from racerl.estimation.unknowns import choose_unknowns
 from racerl.identify.methods.adamw import torch_gradient
 from racerl.identify.objective import Objective, Point
-from racerl.identify.unknowns import choose_unknowns
 from racerl.vehicle.rollout import Rollout
 from tests.vehicle.conftest import make_car
 from tests.vehicle.test_rollout import OBSERVED, windows_for

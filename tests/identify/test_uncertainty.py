@@ -5,11 +5,11 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from racerl.estimation.unknowns import Unknowns
 from racerl.identify.methods import Fit
 from racerl.identify.objective import Linearised, Point
 from racerl.identify.score import ErrorSum, held_errors, horizons_within
 from racerl.identify.uncertainty import Uncertainty, describe, estimate
-from racerl.identify.unknowns import Unknowns
 from racerl.vehicle.parameter import Parameter
 
 TRUTH = np.array([2.0, -1.0, 0.5])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from racerl.errors import ConfigError
-from racerl.identify.unknowns import choose_unknowns
+from racerl.estimation.unknowns import choose_unknowns
 from racerl.vehicle.rollout import drive_by
 from tests.vehicle.conftest import make_car
 
