@@ -180,5 +180,14 @@ def test_mistakes_are_one_line_with_the_near_choices(words, said):
     assert said in str(error.value) and "\n" not in str(error.value)
 
 
+def test_a_word_may_be_longer_than_a_file_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "drive.csv").touch()
+    names = ",".join(["aero_drag", "back_emf", "yaw_damping"] * 30)
+    seen = []
+    run_command("gap", ["drive.csv", f"without=[{names}]"], lambda settings, out: seen.append(settings), "logs")
+    assert seen[0]["without"] == names.split(",")
+
+
 def test_environments_take_overrides():
     assert make_env(["obs=progress"]).observation_space.shape == (11,)
