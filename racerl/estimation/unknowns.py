@@ -20,6 +20,18 @@ EFFECTS = "effects.*"  # a pattern that may find none
 
 
 @dataclass(frozen=True)
+class Unknown:
+    """One parameter of a fit, with its prior and bounds."""
+
+    name: str
+    start: float
+    sigma: float
+    low: float
+    high: float
+    effect: bool = False  # of an effect: its prior is wide, and stays as it is whatever the model leaves
+
+
+@dataclass(frozen=True)
 class Unknowns:
     """Free parameters θ in a fixed order; a prior is normal with the mean `start` and the deviation `sigma`."""
 
@@ -29,6 +41,11 @@ class Unknowns:
     low: Array
     high: Array
     specifications: tuple[Parameter, ...]
+
+    def each(self) -> list[Unknown]:
+        """Return the unknowns one by one."""
+        arrays = (part.tolist() for part in (self.start, self.sigma, self.low, self.high))
+        return [Unknown(*row) for row in zip(self.names, *arrays, strict=True)]
 
     def clip(self, theta: Array) -> Array:
         """Return the nearest values inside the bounds."""

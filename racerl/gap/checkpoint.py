@@ -35,6 +35,7 @@ class Checkpoint:
 
     def __init__(self, folder: Path | None = None) -> None:
         self.folder = folder
+        self._recalled: dict[str, Parts] = {}
 
     @classmethod
     def of(cls, run: Path, settings: Mapping[str, Any], evidence: Mapping[str, Evidence]) -> "Checkpoint":
@@ -71,12 +72,14 @@ class Checkpoint:
             raise RunError(f"{self.folder}: cannot be written ({error.strerror}); give another out=") from error
 
     def recall(self, key: str, make: Callable[[], Parts]) -> Parts:
-        """Return a finished part, or make and keep it."""
-        found = self.find(key)
-        if found is None:
-            found = make()
-            self.keep(key, found)
-        return found
+        """Return a finished part, or make and keep it; what was asked for once stays at hand."""
+        if key not in self._recalled:
+            found = self.find(key)
+            if found is None:
+                found = make()
+                self.keep(key, found)
+            self._recalled[key] = found
+        return self._recalled[key]
 
     @staticmethod
     def remove(run: Path) -> None:

@@ -18,12 +18,16 @@ from racerl.estimation.unknowns import choose_unknowns
 from racerl.gap import residual
 from racerl.gap.catalogue import starts
 from racerl.gap.checkpoint import Checkpoint
+from racerl.gap.decision import Decision
 from racerl.gap.evidence import Evidence, channels_of
-from racerl.gap.investigation import COG, FAR, Found, Investigation
+from racerl.gap.fitted_model import COG, FittedModel
+from racerl.gap.investigation import Investigation, investigate
 from racerl.gap.locate import locate
-from racerl.gap.name import Decision, OnProgress, intervals, name_effects, within
+from racerl.gap.naming import name_effects
+from racerl.gap.progress import OnProgress, silent, within
 from racerl.gap.prove import prove
 from racerl.gap.stage import CHAIN, Stage, stages
+from racerl.gap.uncertainty import FAR, deviations, intervals, moved
 from racerl.gap.verdict import Verdict, judge, separable
 from racerl.identify.document import write_model
 from racerl.identify.uncertainty import IDENTIFIED
@@ -45,7 +49,7 @@ NAMING, PROVING, LEARNING = (0.06, 0.7), 0.72, 0.75  # shares of the work: where
 CLAIMS = ("named", "multiple", "ambiguous")
 
 
-def gap(settings: Mapping[str, Any], out: Path, on_progress: OnProgress = lambda what, share: None) -> dict[str, Any]:
+def gap(settings: Mapping[str, Any], out: Path, on_progress: OnProgress = silent) -> dict[str, Any]:
     """Diagnose the logs of `settings` and write the verdict, the vehicle and each step's findings into `out`.
 
     Raises ConfigError, VehicleError, LogError or RunError; a log that cannot tell gives a verdict, not an error.
@@ -69,8 +73,8 @@ def gap(settings: Mapping[str, Any], out: Path, on_progress: OnProgress = lambda
         write_text(folder.path / MODEL, yaml.safe_dump(vehicle_document(settings["vehicle"], {}, "wheel_speed")))
     else:
         checkpoint = Checkpoint.of(folder.path, settings, evidence)
-        investigation = investigate(evidence, logs, vehicle, settings, checkpoint)
-        told["remarks"] += investigation.doubts()
+        investigation = refit(evidence, logs, vehicle, settings, checkpoint)
+        told["remarks"] += investigation.nominal.doubts()
         whole = chain(logs, settings)
         facts, found = _steps(investigation, whole, settings, folder.path, told, on_progress)
         _write_vehicle(folder.path / MODEL, settings, facts, investigation, found)
@@ -109,7 +113,7 @@ def chain(logs: Sequence[Log], settings: Mapping[str, Any]) -> Evidence | None:
     return _windows(logs, CHAIN, settings) if {"delta", "omega"} <= channels_of(logs) else None
 
 
-def investigate(
+def refit(
     evidence: Mapping[str, Evidence],
     logs: Sequence[Log],
     vehicle: Vehicle,
@@ -130,7 +134,7 @@ def investigate(
         limits["l_f"] = weighed - FAR * deviation, weighed + FAR * deviation
     folder = conf_folder() / "vehicle" / "effect"
     candidates = {name: starts(name, folder) for name in catalogue.names() if name not in without}
-    return Investigation(
+    return investigate(
         evidence,
         vehicle,
         unknowns,
@@ -154,21 +158,18 @@ def _steps(
     folder: Path,
     told: Mapping[str, Any],
     on_progress: OnProgress,
-) -> tuple[dict[str, Any], Found]:
+) -> tuple[dict[str, Any], FittedModel]:
     """Carry out the four steps; return the verdict's document and the refitted vehicle with what was named."""
-    seed = settings["seed"]
     on_progress("locate", NAMING[0] / 2.0)
-    located = locate(investigation, whole, seed)
+    located = locate(investigation, whole)
     write_json(folder / LOCATE, located)
-    decision = name_effects(
-        investigation, seed, within(lambda what, share: on_progress(f"name: {what}", share), *NAMING)
-    )
+    decision = name_effects(investigation, within(lambda what, share: on_progress(f"name: {what}", share), *NAMING))
     verdict = judge(investigation, decision)
     on_progress("add", NAMING[1])
-    named = _named(decision, verdict, intervals(decision.found, investigation.deviations(decision.found)))
+    named = _named(decision, verdict, intervals(investigation, decision.found))
     write_json(folder / NAME, named)
     on_progress("prove", PROVING)
-    proof = prove(investigation, decision.found, seed)
+    proof = prove(investigation, decision.found)
     write_json(folder / PROOF, proof)
     facts = {
         "verdict": verdict.kind,
@@ -179,7 +180,7 @@ def _steps(
         "next_manoeuvre": next_manoeuvre(verdict),
         "ranking": named["ranking"],
         "where": located["where"],
-        "moved": investigation.moved(),
+        "moved": moved(investigation),
         "gap": proof["gap"],
         "worse": proof["worse"],
         "blind_to": list(verdict.blind),
@@ -200,7 +201,7 @@ def _residual(
     on_progress: OnProgress,
 ) -> dict[str, Any] | None:
     """Write the vehicle with a learned residual if that helps; return what it explains."""
-    facts, found = residual.learn(investigation, settings["seed"], on_progress)
+    facts, found = residual.learn(investigation, on_progress)
     write_json(folder / RESIDUAL, facts)
     if not facts["effects"]:
         return None
@@ -288,17 +289,17 @@ def _untestable(evidence: Mapping[str, Evidence], channels: Collection[str]) -> 
 
 
 def _write_vehicle(
-    path: Path, settings: Mapping[str, Any], facts: Mapping[str, Any], investigation: Investigation, found: Found
+    path: Path, settings: Mapping[str, Any], facts: Mapping[str, Any], investigation: Investigation, found: FittedModel
 ) -> None:
     """Write the refitted vehicle with the effects that were named."""
-    units, deviations = specifications(found.vehicle), investigation.deviations(found)
+    units, sure = specifications(found.vehicle), deviations(investigation, found)
     parameters = {
         name: {
             "ci95": [low, high],
-            "identified": 1.96 * deviations[name] < IDENTIFIED * abs(value),
+            "identified": 1.96 * sure[name] < IDENTIFIED * abs(value),
             "unit": units[name].unit,
         }
-        for name, (value, low, high) in intervals(found, deviations).items()
+        for name, (value, low, high) in intervals(investigation, found).items()
     }
     added = {
         name: {key.rpartition(".")[2]: found.theta[key] for key in found.theta if key.startswith(f"effects.{name}.")}

@@ -15,7 +15,11 @@ from scipy.stats import false_discovery_control
 from racerl.gap.evidence import COMMANDS, Evidence
 from racerl.gap.growth import growth, segments
 from racerl.gap.investigation import Investigation
+from racerl.gap.kernels import StageKernels
 from racerl.gap.kinematics import consistency
+from racerl.gap.noise import expected_errors
+from racerl.gap.problem import Problem
+from racerl.gap.stage_problem import StageProblem
 
 Array = NDArray[np.float64]
 HORIZONS = (1, 5, 20, 50, 85)
@@ -24,6 +28,7 @@ TAIL = 0.01
 ROLLS = 400
 RATE = 0.05  # of false discoveries
 REACH = 0.3  # s, of the cross-correlation
+STEPS = 8  # most of a fit of initial states alone
 CLUES = 8  # of maps, in the verdict
 
 
@@ -79,9 +84,9 @@ def horizons(errors: Array) -> dict[str, list[float]]:
     return {str(h): np.sqrt((errors[h] ** 2).mean(axis=1)).tolist() for h in HORIZONS if h < len(errors)}
 
 
-def maps(investigation: Investigation, errors: Mapping[str, Array], seed: int) -> list[dict[str, Any]]:
+def maps(investigation: Investigation, errors: Mapping[str, Array]) -> list[dict[str, Any]]:
     """Return a map of every stage's channels over every condition; `p` is adjusted for the number of maps."""
-    generator = np.random.default_rng(seed)
+    generator = np.random.default_rng(investigation.seed)
     found = []
     car = investigation.base.vehicle
     for name, part in errors.items():
@@ -185,16 +190,24 @@ def _correlation(one: Array, other: Array) -> float:
     return float((a * b).sum() / np.sqrt(max((a * a).sum() * (b * b).sum(), 1e-300)))
 
 
-def _chain(investigation: Investigation, whole: Evidence, seed: int) -> dict[str, Any]:
+def outcome(investigation: Investigation, evidence: Evidence) -> tuple[Array, Array]:
+    """Return the errors (T + 1, C, W) of the refitted vehicle over a stage that was not fitted, and the noise's."""
+    noise, car = evidence.noise(), investigation.base.vehicle
+    stage = StageProblem.of(evidence, StageKernels(evidence, car, [], {}), car, [], noise)
+    (initial,) = Problem([stage], []).fit({}, iterations=STEPS).initial
+    return stage.errors({}, initial), expected_errors(stage, {}, initial, noise, investigation.seed)
+
+
+def _chain(investigation: Investigation, whole: Evidence) -> dict[str, Any]:
     """Return errors by horizon where the commands drive: what the links add up to."""
-    errors, floor = investigation.outcome(whole, seed)
+    errors, floor = outcome(investigation, whole)
     return {"channels": list(whole.observed), "errors": horizons(errors), "floor": horizons(floor)}
 
 
-def locate(investigation: Investigation, whole: Evidence | None, seed: int) -> dict[str, Any]:
+def locate(investigation: Investigation, whole: Evidence | None) -> dict[str, Any]:
     """Return errors, maps and correlations of the refitted vehicle without further effects; `whole`: of the chain."""
-    errors = investigation.errors(investigation.base)
-    everything = maps(investigation, errors, seed)
+    errors = investigation.base.errors()
+    everything = maps(investigation, errors)
     chassis = investigation.evidence.get("chassis")
     return {
         "stages": {
@@ -210,6 +223,6 @@ def locate(investigation: Investigation, whole: Evidence | None, seed: int) -> d
         "maps": everything,
         "where": clues(everything),
         "lags": lags(investigation, errors),
-        "chain": _chain(investigation, whole, seed) if whole else None,
+        "chain": _chain(investigation, whole) if whole else None,
         "kinematics": consistency(chassis) if chassis else [],
     }

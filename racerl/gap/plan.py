@@ -15,8 +15,9 @@ from racerl.data.log import Log
 from racerl.documents import write_json
 from racerl.errors import LogError
 from racerl.gap.checkpoint import Checkpoint
-from racerl.gap.diagnose import check, cut, excitations, investigate
-from racerl.gap.score import Score
+from racerl.gap.diagnose import check, cut, excitations, refit
+from racerl.gap.score import Score, summed
+from racerl.gap.screening import scores
 from racerl.gap.verdict import alike, hidden
 from racerl.record.record import Plan, table
 from racerl.run import Compose, RunFolder
@@ -46,9 +47,12 @@ def plan(
     folder = RunFolder.start(out, "gap plan", settings, seed=settings["seed"], threads=settings["threads"])
     on_progress("refitting the vehicle", 0.1)
     checkpoint = Checkpoint.of(folder.path, settings, evidence)
-    investigation = investigate(evidence, logs, vehicle, settings, checkpoint)
+    investigation = refit(evidence, logs, vehicle, settings, checkpoint)
     on_progress("what the log could tell", 0.8)
-    facts = {"logs": [log.facts() for log in logs], **telling(investigation.score(investigation.base))}
+    facts = {
+        "logs": [log.facts() for log in logs],
+        **telling(summed(scores(investigation, investigation.base).values())),
+    }
     write_json(folder.path / PLAN, facts)
     folder.finish()
     Checkpoint.remove(folder.path)

@@ -6,36 +6,40 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from racerl.gap.investigation import Found, Investigation
+from racerl.estimation.blocks import resampled
+from racerl.gap.candidates import unfitted
+from racerl.gap.comparison import wild
+from racerl.gap.cross_validation import held_out_errors
+from racerl.gap.fitted_model import FittedModel
+from racerl.gap.folds import blocks
+from racerl.gap.investigation import Investigation
 from racerl.gap.locate import HORIZONS, maps
-from racerl.gap.name import wild
 
 Array = NDArray[np.float64]
 RESAMPLES = 2000
 WORSE = 1.05  # times the error before, beyond which a channel has become worse
 
 
-def prove(investigation: Investigation, found: Found, seed: int) -> dict[str, Any]:
+def prove(investigation: Investigation, found: FittedModel) -> dict[str, Any]:
     """Return the gap before and after; `before` is the refitted vehicle without the effects found.
 
     Windows that some vehicle misses by far, such as spins that it foretells the other way round, are counted apart.
     """
-    base = investigation.held_out_errors(investigation.base)
-    after = {**base, **investigation.held_out_errors(found)}
-    unfitted = investigation.errors(investigation.unfitted())
-    told = (unfitted, base, after, investigation.noise_errors)
+    base = held_out_errors(investigation, investigation.base)
+    after = {**base, **held_out_errors(investigation, found)}
+    told = (unfitted(investigation).errors(), base, after, investigation.noise_errors)
     powers = [_power(investigation, errors) for errors in told]
     tame = {stage: _tame(investigation, stage, [power[stage] for power in powers]) for stage in base}
     gap = _gap(*(np.concatenate([part[stage][tame[stage]] for stage in base]) for part in powers))
-    gap["ci95"] = _interval(investigation, *powers[1:], tame=tame, seed=seed)
+    gap["ci95"] = _interval(investigation, *powers[1:], tame=tame)
     calm = [{stage: errors[stage][:, :, tame[stage]] for stage in base} for errors in told]
     gap["by_channel"] = _by_channel(investigation, *calm[1:])
     return {
         "gap": gap,
         "wild_windows": {stage: int((~mask).sum()) for stage, mask in tame.items()},
-        "by_horizon": _by_horizon(investigation, calm[1], calm[2], tame, seed),
+        "by_horizon": _by_horizon(investigation, calm[1], calm[2], tame),
         "worse": [name for name, row in gap["by_channel"].items() if row["after"] > WORSE * row["before"]],
-        "maps": {"before": maps(investigation, base, seed), "after": maps(investigation, after, seed)},
+        "maps": {"before": maps(investigation, base), "after": maps(investigation, after)},
     }
 
 
@@ -75,16 +79,14 @@ def _interval(
     floor: Mapping[str, Array],
     *,
     tame: Mapping[str, NDArray[np.bool_]],
-    seed: int,
 ) -> list[float]:
     """Return the 95 % interval of what is explained, over blocks of windows."""
-    generator = np.random.default_rng(seed)
+    generator = np.random.default_rng(investigation.seed)
     sums = [
-        np.concatenate([np.bincount(investigation.blocks(name), part[name] * tame[name]) for name in before])
+        np.concatenate([np.bincount(blocks(investigation.evidence[name]), part[name] * tame[name]) for name in before])
         for part in (before, after, floor)
     ]
-    drawn = generator.integers(len(sums[0]), size=(RESAMPLES, len(sums[0])))
-    b, a, f = (part[drawn].sum(axis=1) for part in sums)
+    b, a, f = resampled(np.stack(sums, axis=1), RESAMPLES, generator).T
     shares = np.clip((b - a) / np.maximum(b - f, 1e-12), 0.0, 1.0)
     return [float(value) for value in np.quantile(shares, [0.025, 0.975])]
 
@@ -111,13 +113,12 @@ def _by_horizon(
     before: Mapping[str, Array],
     after: Mapping[str, Array],
     tame: Mapping[str, NDArray[np.bool_]],
-    seed: int,
 ) -> list[dict[str, Any]]:
     """Return errors by channel and horizon, with the 95 % interval of their ratio after/before."""
-    generator = np.random.default_rng(seed)
+    generator = np.random.default_rng(investigation.seed)
     rows = []
     for name, evidence in investigation.evidence.items():
-        block = np.unique(investigation.blocks(name)[tame[name]], return_inverse=True)[1]
+        block = np.unique(blocks(investigation.evidence[name])[tame[name]], return_inverse=True)[1]
         drawn = generator.integers(block.max() + 1, size=(RESAMPLES, block.max() + 1))
         for c, channel in enumerate(evidence.observed):
             for h in (h for h in HORIZONS if h < len(before[name])):

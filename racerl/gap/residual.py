@@ -12,8 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from racerl.gap.investigation import Found, Investigation, with_effect
-from racerl.gap.name import WORTH, Judge, OnProgress, Scored, excess
+from racerl.gap.candidates import add, again, converged
+from racerl.gap.comparison import WORTH, CandidateScore, Judge, excess
+from racerl.gap.cross_validation import held_out
+from racerl.gap.fitted_model import FittedModel, with_effect
+from racerl.gap.investigation import Investigation
+from racerl.gap.progress import OnProgress, silent
+from racerl.gap.uncertainty import deviations
 from racerl.vehicle.effects import Effect
 from racerl.vehicle.effects._fading import Fading
 from racerl.vehicle.effects.learned_network import LearnedNetwork
@@ -36,15 +41,13 @@ def limits(investigation: Investigation) -> dict[str, float]:
     return seen
 
 
-def learn(
-    investigation: Investigation, seed: int, on_progress: OnProgress = lambda what, share: None
-) -> tuple[dict[str, Any], Found]:
+def learn(investigation: Investigation, on_progress: OnProgress = silent) -> tuple[dict[str, Any], FittedModel]:
     """Fit terms, then a network, to what the refitted vehicle leaves; return what they explain, and the fit."""
     seen, base = limits(investigation), investigation.base
     terms, network = LearnedResidual(**seen), LearnedNetwork(**seen)
     on_progress("learning a residual: terms", 0.0)
     knowing = investigation.knowing({TERMS: [terms]})
-    judge = Judge(knowing, seed, knowing.held_out(base))
+    judge = Judge(knowing, held_out(knowing, base))
     knowing, found = sparse(knowing, _with(knowing, base, TERMS, terms))
     scored = replace(judge, investigation=knowing).score(TERMS, found, judge.first, knowing.floor)
     steps = [_step(judge, scored, found, scored.clear)]
@@ -69,32 +72,32 @@ def learn(
     return facts, found
 
 
-def sparse(investigation: Investigation, found: Found) -> tuple[Investigation, Found]:
+def sparse(investigation: Investigation, found: FittedModel) -> tuple[Investigation, FittedModel]:
     """Take out the weaker half of the terms that may as well be zero, fit the others again, until none is idle."""
     while True:
-        deviations = investigation.deviations(found)
-        sure = {n: abs(weight) / max(deviations[n], 1e-12) for n, weight in weights(found, TERMS).items() if weight}
+        known = deviations(investigation, found)
+        sure = {n: abs(weight) / max(known[n], 1e-12) for n, weight in weights(found, TERMS).items() if weight}
         idle = sorted((n for n in sure if sure[n] < SURE), key=lambda n: sure[n])
         if not idle:
             return investigation, found
         weaker = idle[: (len(idle) + 1) // 2]  # terms that look alike are not all thrown out at once
         investigation = investigation.limited(dict.fromkeys(weaker, (0.0, 0.0)))
-        found = investigation.again(found, dict.fromkeys(weaker, 0.0))
+        found = again(investigation, found, dict.fromkeys(weaker, 0.0))
 
 
-def weights(found: Found, effect: str) -> dict[str, float]:
+def weights(found: FittedModel, effect: str) -> dict[str, float]:
     """Return a learned effect's weights by dotted name."""
     known = Fading.known
     mine = {name: value for name, value in found.theta.items() if name.startswith(f"effects.{effect}.")}
     return {name: value for name, value in mine.items() if name.rpartition(".")[2] not in known}
 
 
-def _with(investigation: Investigation, base: Found, name: str, effect: Effect) -> Found:
+def _with(investigation: Investigation, base: FittedModel, name: str, effect: Effect) -> FittedModel:
     """Return the fit with a learned effect more, carried on to its end."""
-    return investigation.converged(investigation.add(base, name, with_effect(base.vehicle, name, effect)))
+    return converged(investigation, add(investigation, base, name, with_effect(base.vehicle, name, effect)))
 
 
-def _step(judge: Judge, scored: Scored, found: Found, kept: bool) -> dict[str, Any]:
+def _step(judge: Judge, scored: CandidateScore, found: FittedModel, kept: bool) -> dict[str, Any]:
     """Return what was learned in a step, and the share of the first excess that is gone after it."""
     costs, noise = (judge.first, {**judge.first, **scored.cost}), judge.investigation.floor
     first, left = (excess(judge.investigation, cost, noise) for cost in costs)

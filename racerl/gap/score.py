@@ -7,10 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from racerl.estimation.unknowns import Unknown
 from racerl.gap.follow import follow
+from racerl.gap.normal_equations import Linear
 from racerl.gap.presence import only_shifts
-from racerl.gap.problem import Linear, StageProblem, Unknown
 from racerl.gap.stage import SHIFTS
+from racerl.gap.stage_problem import StageProblem
 from racerl.vehicle.vehicle import STATE
 
 Array = NDArray[np.float64]

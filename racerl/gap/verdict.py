@@ -15,8 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from racerl.gap.comparison import REAL, close, equals, excesses, total
+from racerl.gap.decision import Decision
+from racerl.gap.fitted_model import touched
 from racerl.gap.investigation import Investigation
-from racerl.gap.name import REAL, Decision, close, equals, excesses, total
 from racerl.gap.score import Score
 
 CHANCE = 5.0  # deviations of the noise's own cost, a χ², below which an excess may be chance
@@ -59,14 +61,14 @@ def judge(investigation: Investigation, decision: Decision) -> Verdict:
     if stage:
         reason = f"{' and '.join(effects)} helps, but leaves {left / first:.0%} of the excess in the {stage} stage"
         return Verdict("unknown", effects, (), blind, reason)
-    touched = investigation.touched(decision.found.vehicle, frozenset(effects))  # elsewhere an excess is chance
-    had, rest = (total(parts[stage] for stage in touched) for parts in (before, after))
+    moved = touched(investigation, decision.found.vehicle, effects)  # elsewhere an excess is chance
+    had, rest = (total(parts[stage] for stage in moved) for parts in (before, after))
     share = 1.0 - rest / max(had, 1e-9)
-    if share < CREDIBLE and not any(_coarse(investigation, decision, stage, after[stage]) for stage in touched):
+    if share < CREDIBLE and not any(_coarse(investigation, decision, stage, after[stage]) for stage in moved):
         reason = f"{' and '.join(effects)} helps, but explains only {share:.0%} of a small excess"
         return Verdict("under_excited", (), (), blind, reason)
     explained = f"{' and '.join(effects)} explains {share:.0%} of the excess"
-    if had < REAL * sum(decision.noise[stage] for stage in touched):
+    if had < REAL * sum(decision.noise[stage] for stage in moved):
         explained += ", which is no larger than the noise is known"
     if rivals:
         return Verdict("ambiguous", effects, rivals, blind, f"{explained}, and so does {' or '.join(rivals)}")
@@ -101,7 +103,7 @@ def open_stage(
 def _may_stay(investigation: Investigation, decision: Decision, stage: str) -> float:
     """Return which share of a stage's excess may stay behind right names."""
     vehicle = decision.found.vehicle
-    acting = [name for name in decision.chosen if stage in investigation.touched(vehicle, frozenset([name]))]
+    acting = [name for name in decision.chosen if stage in touched(investigation, vehicle, [name])]
     return LEFT_EXACT if all(vehicle.effects[name].exact for name in acting) else LEFT
 
 

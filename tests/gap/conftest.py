@@ -8,6 +8,7 @@ from racerl.assemble import conf_folder
 from racerl.config import compose_settings
 from racerl.data.log import Log
 from racerl.estimation.unknowns import choose_unknowns
+from racerl.gap import investigation
 from racerl.gap.catalogue import starts
 from racerl.gap.evidence import Evidence
 from racerl.gap.investigation import Investigation
@@ -36,7 +37,7 @@ def investigate(log: Log, *names: str, vehicle: Vehicle | None = None) -> Invest
     unknowns = choose_unknowns(vehicle, priors, [], vehicle)
     catalogue = {name: starts(name, conf_folder() / "vehicle" / "effect") for name in names}
     cut = [Evidence.of([log], stage, 85, 0.5) for stage in (STEERING, DRIVE, CHASSIS)]
-    return Investigation({each.stage.name: each for each in cut}, vehicle, unknowns, catalogue, threads=2)
+    return investigation.investigate({each.stage.name: each for each in cut}, vehicle, unknowns, catalogue, threads=2)
 
 
 @pytest.fixture(scope="session")

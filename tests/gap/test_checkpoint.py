@@ -15,9 +15,12 @@ from racerl.config import compose_settings
 from racerl.data.load import load_given
 from racerl.errors import RunError
 from racerl.gap.checkpoint import FOLDER, Checkpoint
-from racerl.gap.diagnose import cut, gap, investigate
-from racerl.gap.investigation import Investigation
+from racerl.gap.cross_validation import held_out
+from racerl.gap.diagnose import cut, gap, refit
+from racerl.gap.noise import noise_cost
 from racerl.gap.problem import Problem
+from racerl.gap.uncertainty import deviations
+from racerl.gap.workers import Workers
 from racerl.vehicle import catalogue, codegen
 from racerl.vehicle.load import load_vehicle
 from tests.gap.conftest import drive
@@ -120,10 +123,10 @@ def test_what_judging_asks_of_a_finished_fit_needs_no_fit_again(steered, tmp_pat
     def asked():
         checkpoint = Checkpoint.of(tmp_path, steered.settings, evidence)
         vehicle = load_vehicle(steered.settings["vehicle"])
-        investigation = investigate(evidence, logs, vehicle, steered.settings, checkpoint)
+        investigation = refit(evidence, logs, vehicle, steered.settings, checkpoint)
         base = investigation.base
-        cost = {name: part.tolist() for name, part in investigation.held_out(base).items()}
-        return base.theta, investigation.deviations(base), cost, investigation.noise_cost(base)
+        cost = {name: part.tolist() for name, part in held_out(investigation, base).items()}
+        return base.theta, deviations(investigation, base), cost, noise_cost(investigation, base, 0)
 
     first, fits = asked(), counted(monkeypatch)
     assert asked() == first and not fits
@@ -172,15 +175,14 @@ def test_a_checkpoint_that_cannot_be_written_says_so(tmp_path):
 
 
 def test_other_threads_end_before_their_next_fit():
-    investigation = object.__new__(Investigation)
-    investigation.threads, investigation.stopped = 2, Event()
+    workers = Workers(2)
     begun, asked = [], Event()
 
     def candidate(item):
         begun.append(item)
         if item:
             asked.wait(5.0)
-            investigation.go_on()
+            workers.go_on()
         return item
 
     def ctrl_c(item, share):
@@ -188,10 +190,10 @@ def test_other_threads_end_before_their_next_fit():
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        investigation.each(candidate, range(50), ctrl_c)
+        workers.each(candidate, range(50), ctrl_c)
     assert len(begun) < 5
     with pytest.raises(CancelledError):
-        investigation.go_on()
+        workers.go_on()
 
 
 def test_a_compiler_that_the_user_interrupts_is_no_broken_compiler(tmp_path, monkeypatch):

@@ -11,31 +11,23 @@ import torch
 from racerl.config import compose_settings
 from racerl.documents import read_json
 from racerl.errors import ConfigError, LogError, RunError
+from racerl.estimation.unknowns import Unknown
+from racerl.gap import elimination
+from racerl.gap.comparison import CandidateScore, Judge, equals
+from racerl.gap.decision import Decision, changed, passes_less_noise
 from racerl.gap.diagnose import gap, next_manoeuvre
+from racerl.gap.elimination import _idle, eliminated
 from racerl.gap.evidence import Evidence, contradictory
 from racerl.gap.growth import growth, places
-from racerl.gap.investigation import Screened
 from racerl.gap.locate import _test
-from racerl.gap.name import (
-    EXACT,
-    FORM,
-    Decision,
-    Judge,
-    Scored,
-    _changed,
-    _hopeful,
-    _idle,
-    _passes_less_noise,
-    _reviewed,
-    equals,
-    intervals,
-)
 from racerl.gap.plan import plan, telling
-from racerl.gap.problem import Unknown
 from racerl.gap.prove import explained
 from racerl.gap.score import Score
+from racerl.gap.screening import Screened, hopeful
 from racerl.gap.stage import stages
+from racerl.gap.uncertainty import EXACT, FORM, intervals
 from racerl.gap.verdict import Verdict, judge, open_stage, separable
+from racerl.gap.workers import Workers
 from racerl.report.gap_page import draw_gap
 from racerl.vehicle import catalogue
 from racerl.vehicle.load import load_vehicle
@@ -299,8 +291,8 @@ def test_rivals_explain_as_much_for_their_parameters():
     ],
 )
 def test_effects_are_judged_again_beside_those_found_after_them(monkeypatch, shares, chosen, rivals):
-    monkeypatch.setattr("racerl.gap.name.excess", lambda *_: 0.0)
-    monkeypatch.setattr("racerl.gap.name._passes_less_noise", lambda *_: False)
+    monkeypatch.setattr("racerl.gap.decision.excess", lambda *_: 0.0)
+    monkeypatch.setattr(elimination, "passes_less_noise", lambda *_: False)
 
     def fit(names):
         left = {"chassis": 1.0 - {"": 0.0, **shares}["".join(name for name in "val" if name in names)]}
@@ -318,16 +310,13 @@ def test_effects_are_judged_again_beside_those_found_after_them(monkeypatch, sha
             row.behind = 20.0 * (rows[0].explained - row.explained)
         return rows
 
-    investigation = SimpleNamespace(
-        each=lambda function, items: list(map(function, items)),
-        floor={"chassis": 0.0},
-        noise_cost=lambda found: {"chassis": 0.0},
-        without=lambda found, name: fit(found.names - {name}),
-        held_out=lambda found: found.cost,
-        joined=lambda vehicle, name, effect: None,
-        add=lambda base, name, vehicle: fit(base.names | {name}),
-        converged=lambda found: found,
-    )
+    investigation = SimpleNamespace(workers=Workers(), floor={"chassis": 0.0}, seed=0)
+    monkeypatch.setattr("racerl.gap.decision.noise_cost", lambda *_: {"chassis": 0.0})
+    monkeypatch.setattr("racerl.gap.decision.held_out", lambda investigation, found: found.cost)
+    monkeypatch.setattr("racerl.gap.decision.converged", lambda investigation, found: found)
+    monkeypatch.setattr(elimination, "without", lambda investigation, found, name: fit(found.names - {name}))
+    monkeypatch.setattr(elimination, "joined", lambda *_: None)
+    monkeypatch.setattr(elimination, "add", lambda investigation, base, name, vehicle: fit(base.names | {name}))
     judge = SimpleNamespace(investigation=investigation, score=score, ranked=ranked)
     v, a, both = (SimpleNamespace(cost={"chassis": left}, vehicle=fit("vl").vehicle) for left in (0.22, 0.23, 0.03))
     a.vehicle = SimpleNamespace(effects={"a": None})
@@ -336,19 +325,19 @@ def test_effects_are_judged_again_beside_those_found_after_them(monkeypatch, sha
         "v": ranked([score("v", v, before, {}), score("a", a, before, {})], {}),
         "l": [score("l", both, before, {})],
     }
-    decision = _reviewed(judge, Decision(first, fit("vl"), fit("vl").cost, {"chassis": 0.0}, None))
+    decision = eliminated(judge, Decision(first, fit("vl"), fit("vl").cost, {"chassis": 0.0}, None))
     assert decision.chosen == list(chosen) and decision.found.names == set(chosen)
     assert decision.cost == fit(chosen).cost
     assert [other.name for other in equals(decision.kept[chosen[0]])] == rivals
 
 
 def test_the_least_cost_of_noise_is_the_noise(monkeypatch):
-    monkeypatch.setattr("racerl.gap.name.excess", lambda *_: 0.0)
-    investigation = SimpleNamespace(
-        floor={"drive": 5.0, "chassis": 9.0}, held_out=lambda found: {}, noise_cost=lambda found: found
-    )
+    monkeypatch.setattr("racerl.gap.decision.excess", lambda *_: 0.0)
+    monkeypatch.setattr("racerl.gap.decision.held_out", lambda *_: {})
+    monkeypatch.setattr("racerl.gap.decision.noise_cost", lambda investigation, found, seed: found)
+    investigation = SimpleNamespace(floor={"drive": 5.0, "chassis": 9.0}, seed=0)
     for passed, least in ((7.0, 7.0), (11.0, 9.0)):
-        decision = _changed(investigation, Decision({}, None, {}, {}, None), {}, {"chassis": passed})
+        decision = changed(investigation, Decision({}, None, {}, {}, None), {}, {"chassis": passed})
         assert decision.noise == {"drive": 5.0, "chassis": least}
 
 
@@ -387,12 +376,13 @@ def test_what_shows_and_looks_like_no_other_is_separable():
         ("learned_residual", {"about_turn": 0.5}, "about_turn", 0.0),
     ],
 )
-def test_an_effect_is_known_no_better_than_its_form(name, values, key, deviation):
+def test_an_effect_is_known_no_better_than_its_form(name, values, key, deviation, monkeypatch):
     vehicle = dataclasses.replace(make_car(), effects={name: catalogue.entry(name).cls(**values)})
     parameter, value = f"effects.{name}.{key}", values[key]
     unknowns = [Unknown(parameter, 0.0, 1.0, -100.0, 100.0)]
     found = SimpleNamespace(vehicle=vehicle, theta={parameter: value}, problem=SimpleNamespace(unknowns=unknowns))
-    _, low, high = intervals(found, {parameter: 0.0})[parameter]
+    monkeypatch.setattr("racerl.gap.uncertainty.deviations", lambda *_: {parameter: 0.0})
+    _, low, high = intervals(None, found)[parameter]
     assert 0.5 * (high - low) == pytest.approx(1.96 * deviation) and 0.5 * (low + high) == pytest.approx(value)
 
 
@@ -407,11 +397,12 @@ def test_an_effect_is_known_no_better_than_its_form(name, values, key, deviation
 )
 def test_a_gain_that_is_noise_passed_on_no_longer_is_none(monkeypatch, noise, cost, less):
     """Ten windows at the cost of a usual one, where half of the noise's cost is in the loss."""
-    monkeypatch.setattr("racerl.gap.name.wild", lambda *_: 30.0 * 100.0)
-    judge = Judge(SimpleNamespace(noise_cost=lambda _: {"chassis": noise}), 0, {})
+    monkeypatch.setattr("racerl.gap.comparison.wild", lambda *_: 30.0 * 100.0)
+    monkeypatch.setattr("racerl.gap.decision.noise_cost", lambda *_: {"chassis": noise})
+    judge = Judge(SimpleNamespace(seed=0), {})
     decision = SimpleNamespace(cost={"chassis": np.full(10, cost)}, noise={"chassis": 1000.0})
     best = SimpleNamespace(found=None, gain=55.0, error=5.0)
-    assert _passes_less_noise(judge, decision, best) == less
+    assert passes_less_noise(judge, decision, best) == less
 
 
 def test_a_rear_driven_split_is_no_idle_effect():
@@ -440,7 +431,8 @@ def test_a_name_must_explain_most_of_a_small_excess(monkeypatch, chosen, excess,
     before, after = ({"chassis": each, "steering": 800.0} for each in (excess[0], excess[-1]))  # steering's is chance
     monkeypatch.setattr("racerl.gap.verdict.fitted", lambda *_: (before, after))
     evidence = {"chassis": SimpleNamespace(filtered=True)}
-    investigation = SimpleNamespace(evidence=evidence, touched=lambda *_: ["chassis"])
+    monkeypatch.setattr("racerl.gap.verdict.touched", lambda *_: ["chassis"])
+    investigation = SimpleNamespace(evidence=evidence)
     score = Score(["aero_drag", "downforce"], np.diag([900.0, 900.0]), np.zeros(2))
     found = SimpleNamespace(vehicle=None)
     noise = {"chassis": 1e5, "steering": 1e4}
@@ -454,7 +446,7 @@ def test_a_small_effect_beside_a_large_one_must_explain_what_is_left_and_not_loo
     score = Score(["steering_saturation", "steering_nonlinearity", "aero_drag"], H, np.zeros(3))
     assert score.likeness("steering_nonlinearity", ["steering_saturation"]) == pytest.approx(0.9)
     assert score.likeness("aero_drag", ["steering_saturation"]) == score.likeness("aero_drag", []) == 0.0
-    small = Scored("steering_nonlinearity", None, {}, 90.0, 10.0, 0.0, explained=0.9, worth=0.02, before=1.0)
+    small = CandidateScore("steering_nonlinearity", None, {}, 90.0, 10.0, 0.0, explained=0.9, worth=0.02, before=1.0)
     assert small.needed and not dataclasses.replace(small, like=0.9).needed
     assert dataclasses.replace(small, like=0.9, worth=0.05).needed
     assert not dataclasses.replace(small, explained=0.5).needed
@@ -466,7 +458,7 @@ def test_effects_that_are_one_in_a_log_are_rivals(monkeypatch):
     monkeypatch.setattr("racerl.gap.verdict.fitted", lambda *_: ({"chassis": 1e5}, {"chassis": 0.0}))
     H = 900.0 * np.array([[1.0, -0.9999, 0.97], [-0.9999, 1.0, -0.97], [0.97, -0.97, 1.0]])
     score = Score(["steering_offset", "steering_sensor_offset", "camber_thrust"], H, np.zeros(3))
-    investigation = SimpleNamespace(touched=lambda *_: ["chassis"])
+    monkeypatch.setattr("racerl.gap.verdict.touched", lambda *_: ["chassis"])
     rows = [
         SimpleNamespace(name=name, explained=share, behind=behind, clear=True, size=1)
         for name, share, behind in (("steering_offset", 0.9, 0.0), ("camber_thrust", 0.8, 1.0))
@@ -479,14 +471,15 @@ def test_effects_that_are_one_in_a_log_are_rivals(monkeypatch):
         decision = SimpleNamespace(
             chosen=["steering_offset"], kept=kept, found=found, noise={"chassis": 1e5}, score=score
         )
-        verdict = judge(investigation, decision)
+        verdict = judge(None, decision)
         assert verdict.kind == kind and verdict.rivals == (("steering_sensor_offset",) if kind == "ambiguous" else ())
 
 
 @pytest.mark.parametrize(("name", "most"), [("steering_gain", 0.1), ("drive_split", 0.25)])
-def test_an_effect_of_one_form_must_leave_less(name, most):
+def test_an_effect_of_one_form_must_leave_less(name, most, monkeypatch):
     evidence = SimpleNamespace(filtered=False, numbers=100, start=np.arange(1000))
-    investigation = SimpleNamespace(evidence={"chassis": evidence}, touched=lambda *_: ["chassis"])
+    monkeypatch.setattr("racerl.gap.verdict.touched", lambda *_: ["chassis"])
+    investigation = SimpleNamespace(evidence={"chassis": evidence})
     found = SimpleNamespace(vehicle=make_car(f"+vehicle/effect={name}"))
     decision = SimpleNamespace(chosen=[name], found=found, noise={"chassis": 1e5})
     for share, stage in ((most - 0.02, ""), (most + 0.02, "chassis")):
@@ -496,5 +489,5 @@ def test_an_effect_of_one_form_must_leave_less(name, most):
 def test_a_candidate_that_a_few_steps_led_astray_is_fitted_where_theory_foretells_a_gain():
     screened = [Screened(n, None, gain, "chassis") for n, gain in (("drag", 900.0), ("roll", -2e3), ("bank", 30.0))]
     score = Score(["roll", "drag", "bank"], np.eye(3), np.sqrt([2e4, 4e3, 5e3]))
-    assert [each.name for each in _hopeful(screened, score, "chassis")] == ["drag", "roll"]
-    assert [each.name for each in _hopeful(screened, dataclasses.replace(score, g=np.zeros(3)), "chassis")] == ["drag"]
+    assert [each.name for each in hopeful(screened, score, "chassis")] == ["drag", "roll"]
+    assert [each.name for each in hopeful(screened, dataclasses.replace(score, g=np.zeros(3)), "chassis")] == ["drag"]

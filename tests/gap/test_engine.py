@@ -10,14 +10,24 @@ import numpy as np
 import pytest
 import torch
 
-from racerl.estimation.unknowns import choose_unknowns
+from racerl.estimation.pseudo_huber import pseudo_huber, slope
+from racerl.estimation.unknowns import Unknown, choose_unknowns
+from racerl.gap import nominal, screening
+from racerl.gap.candidates import add, joined
 from racerl.gap.evidence import SMOOTH, Evidence
+from racerl.gap.fit_data import FitData
+from racerl.gap.fitted_model import COG, fit_model
 from racerl.gap.follow import follow, lagged
-from racerl.gap.investigation import COG, Investigation, Screened
-from racerl.gap.name import name_effects
+from racerl.gap.kernels import StageKernels
+from racerl.gap.naming import name_effects
 from racerl.gap.presence import with_all
-from racerl.gap.problem import WAYS, Problem, StageKernels, StageProblem, Unknown, _Work, loss
+from racerl.gap.problem import Problem
+from racerl.gap.score import summed
+from racerl.gap.screening import Screened, beyond, scores, screen
 from racerl.gap.stage import CHASSIS, DRIVE, STEERING
+from racerl.gap.stage_fit import WAYS, StageFit
+from racerl.gap.stage_problem import StageProblem
+from racerl.gap.uncertainty import deviations
 from racerl.gap.verdict import judge
 from racerl.vehicle.ops import TORCH
 from racerl.vehicle.parameter import replace_values, values
@@ -57,16 +67,17 @@ def test_an_input_is_shifted_by_so_many_seconds(clean):
 
 
 @pytest.mark.parametrize("sent", [0.0, 0.001, 0.002, 0.005, 0.0095])
-def test_commands_that_were_sent_between_samples_are_timed(clean, sent):
+def test_commands_that_were_sent_between_samples_are_timed(clean, sent, monkeypatch):
     steering = Evidence.of([clean], STEERING, 85, 0.5)
     least = steering.numbers * len(steering.start)
 
-    def fit(effects, vehicle, start, iterations, stages):  # a shift leaves errors in proportion to it
-        off = fake.evidence["steering"].early - sent
+    def fit(data, *asked, stages):  # a shift leaves errors in proportion to it
+        off = data.evidence["steering"].early - sent
         return SimpleNamespace(cost={"steering": np.array([least * (1.0 + (off / 0.002) ** 2)])})
 
-    fake = SimpleNamespace(evidence={"steering": steering}, vehicle=None, _fit=fit)
-    assert Investigation._timed(fake, "steering").early == pytest.approx(sent, abs=0.0003)
+    monkeypatch.setattr(nominal, "fit_model", fit)
+    data = FitData({"steering": steering}, *([None] * 10))
+    assert nominal.timed(data).evidence["steering"].early == pytest.approx(sent, abs=0.0003)
 
 
 def test_inputs_are_smoothed_as_far_as_only_noise_is_lost(clean):
@@ -121,7 +132,7 @@ def test_a_parameter_that_states_remember_counts_with_what_it_did_before_the_win
     kernels = StageKernels(evidence, make_car("vehicle=published"), [], car.effects)
     problem = StageProblem.of(evidence, kernels, car, unknowns, evidence.noise())
     assert set(problem.memory.values()) == {"effects.tyre_heating.time"}
-    work = _Work(problem, theta, None)
+    work = StageFit(problem, theta, None)
     line = work.linearise(theta)
     for i, name in enumerate(problem.names):
         step = 1e-3 * theta[name]
@@ -215,38 +226,42 @@ def test_windows_that_no_vehicle_foresees_do_not_decide(clean, monkeypatch):
     spoilt = inertia_problem(dataclasses.replace(clean, table=table))
     truth = inertia_problem(clean).fit({"yaw_inertia": 0.1}).theta["yaw_inertia"]
     robust = spoilt.fit({"yaw_inertia": 0.1}).theta["yaw_inertia"]
-    monkeypatch.setattr("racerl.gap.problem.usual_cost", lambda evidence, cost: 1e12)
+    monkeypatch.setattr("racerl.gap.normal_equations.usual_cost", lambda evidence, cost: 1e12)
     plain = spoilt.fit({"yaw_inertia": 0.1}).theta["yaw_inertia"]
     assert abs(robust - truth) < 0.3 * abs(plain - truth) and abs(plain - truth) > 0.01 * truth
 
 
 def test_the_loss_counts_usual_windows_by_their_cost_and_others_by_its_root():
     usual, step = 100.0, 1e-3
-    slope = (loss(np.array([usual + step]), usual) - loss(np.array([usual - step]), usual)) / (2.0 * step)
-    assert slope == pytest.approx(1.0) and loss(np.zeros(1), usual) == 0.0
-    far, farther = loss(np.array([1e8, 4e8]), usual)
+    for cost in (0.5 * usual, usual, 30.0 * usual):
+        up, down = (pseudo_huber(np.array([cost + way * step]), usual) for way in (1.0, -1.0))
+        assert (up - down) / (2.0 * step) == pytest.approx(slope(np.array([cost]), usual), rel=1e-6)
+    assert slope(np.array([usual]), usual) == pytest.approx(1.0) and pseudo_huber(np.zeros(1), usual) == 0.0
+    far, farther = pseudo_huber(np.array([1e8, 4e8]), usual)
     assert farther == pytest.approx(2.0 * far, rel=1e-2)
 
 
 def test_steps_that_do_not_help_cost_no_gradients(clean, monkeypatch):
     investigation = investigate(clean, "yaw_damping")
     counts = {"linearise": 0, "losses": 0}
-    for name, whole in (("linearise", _Work.linearise), ("losses", _Work.losses)):
+    for name, whole in (("linearise", StageFit.linearise), ("losses", StageFit.losses)):
 
         def counted(work, theta, name=name, whole=whole):
             counts[name] += 1
             return whole(work, theta)
 
-        monkeypatch.setattr(_Work, name, counted)
+        monkeypatch.setattr(StageFit, name, counted)
     far = replace_values(investigation.vehicle, {"yaw_inertia": 0.05, "front.p_Ky1": 3.0, "rear.p_Ky1": 1.0})
-    before, after = (sum(investigation._fit(frozenset(), far, None, n, ["chassis"]).cost["chassis"]) for n in (0, 6))
+    before, after = (
+        sum(fit_model(investigation, frozenset(), far, None, n, stages=["chassis"]).cost["chassis"]) for n in (0, 6)
+    )
     assert after < 0.5 * before
     assert counts["linearise"] == 1 + 1 + 6 < counts["losses"]
 
 
 def test_every_window_begins_where_it_fits_best(clean):
     (stage,) = inertia_problem(clean).stages
-    work = _Work(stage, {"yaw_inertia": 0.1}, None)
+    work = StageFit(stage, {"yaw_inertia": 0.1}, None)
     good, bad = work.initial.copy(), work.initial.copy()
     good[4, ::2] += 3.0  # v_y of every other window
     bad[4, 1::2] += 3.0
@@ -257,7 +272,7 @@ def test_every_window_begins_where_it_fits_best(clean):
     work.begin({"yaw_inertia": 0.1}, good, bad)
     np.testing.assert_allclose(work.cost({"yaw_inertia": 0.1}), np.minimum(*costs))
     before = work.linearise({"yaw_inertia": 0.1}).cost
-    alone = _Work(dataclasses.replace(stage, names=()), {}, None)
+    alone = StageFit(dataclasses.replace(stage, names=()), {}, None)
     alone.initial = work.initial.copy()
     after = alone.settled()
     assert (after <= before * (1.0 + 1e-9)).all() and after.sum() < 0.8 * before.sum()
@@ -265,7 +280,7 @@ def test_every_window_begins_where_it_fits_best(clean):
 
 def test_a_window_that_its_step_does_not_help_takes_another_or_stays(clean, monkeypatch):
     (stage,) = inertia_problem(clean).stages
-    work = _Work(stage.at({}), {}, None)
+    work = StageFit(stage.at({}), {}, None)
     work.remembers = True
     right = work.initial.copy()
     work.initial[4, ::3] -= 3.0  # v_y of a third of the windows, which only the most damped step mends
@@ -296,17 +311,17 @@ def test_the_refit_reaches_the_noise_from_a_vehicle_that_is_off(clean):
     off = 1.5 * unknowns.sigma * np.random.default_rng(3).uniform(-1.0, 1.0, len(unknowns.names))
     theta = unknowns.clip(unknowns.start + off)
     found = investigate(clean, vehicle=replace_values(right, dict(zip(unknowns.names, theta.tolist(), strict=True))))
-    assert found.beyond(found.base, ["chassis"]) < 1.01  # from there alone it would end 6 % above the noise
+    assert beyond(found, found.base, ["chassis"]) < 1.01  # from there alone it would end 6 % above the noise
 
 
 @needs_compiler
 def test_a_displaced_centre_of_gravity_is_known_no_better_than_it_was_weighed():
     ahead = drive(f"+vehicle/effect={COG}", f"vehicle.effects.{COG}.offset=0.03")
     investigation = investigate(ahead, COG)
-    found = investigation.add(investigation.base, COG, investigation.screen(investigation.base, COG).vehicle)
+    found = add(investigation, investigation.base, COG, screen(investigation, investigation.base, COG).vehicle)
     weighed = next(unknown.sigma for unknown in investigation.unknowns if unknown.name == "l_f")
     assert found.theta[f"effects.{COG}.offset"] == pytest.approx(0.03, abs=0.002)
-    assert weighed < investigation.deviations(found)[f"effects.{COG}.offset"] < 1.5 * weighed
+    assert weighed < deviations(investigation, found)[f"effects.{COG}.offset"] < 1.5 * weighed
 
 
 @needs_compiler
@@ -314,7 +329,7 @@ def test_a_displaced_centre_of_gravity_joins_a_vehicle_as_it_was_weighed(clean):
     investigation = investigate(clean, COG, "yaw_damping")
     moved = replace_values(investigation.vehicle, {"l_f": investigation.vehicle.l_f + 0.01})
     for name, l_f in ((COG, investigation.vehicle.l_f), ("yaw_damping", moved.l_f)):
-        assert investigation.joined(moved, name, investigation.catalogue[name][0]).l_f == l_f
+        assert joined(investigation, moved, name, investigation.catalogue[name][0]).l_f == l_f
 
 
 @needs_compiler
@@ -330,7 +345,7 @@ def test_what_the_data_do_not_tell_is_known_as_before(clean):
 
 @needs_compiler
 def test_a_hidden_effect_is_named_and_measured(damped):
-    decision = name_effects(investigate(damped, "yaw_damping", "aero_drag", "steering_delay", "wheel_speed_gain"), 0)
+    decision = name_effects(investigate(damped, "yaw_damping", "aero_drag", "steering_delay", "wheel_speed_gain"))
     assert decision.chosen == ["yaw_damping"]
     assert decision.found.theta["effects.yaw_damping.coefficient"] == pytest.approx(0.15, rel=0.1)
     assert decision.excess[-1] < 0.2 * decision.excess[0]
@@ -357,11 +372,11 @@ def test_candidates_in_several_threads_are_those_in_one(damped):
     names = ["yaw_damping", "tyre_relaxation", "tyre_heating", "lever_arm"]
     investigation, shown = investigate(damped, *names), []
     base = investigation.base
-    alone = [investigation.screen(base, name) for name in names]
-    tried = investigation.each(
-        lambda name: investigation.screen(base, name), names, lambda name, share: shown.append((name, share))
+    alone = [screen(investigation, base, name) for name in names]
+    tried = investigation.workers.each(
+        lambda name: screen(investigation, base, name), names, lambda name, share: shown.append((name, share))
     )
-    assert investigation.threads == 2 and [each.name for each in tried] == names
+    assert investigation.workers.threads == 2 and [each.name for each in tried] == names
     assert [each.gain for each in tried] == [each.gain for each in alone] and alone[0].gain > 0.0
     assert [each.vehicle for each in tried] == [each.vehicle for each in alone]
     assert shown == list(zip(names, (0.25, 0.5, 0.75, 1.0), strict=True))
@@ -373,26 +388,26 @@ def test_an_effect_starts_as_it_was_fitted_before_too(damped, monkeypatch):
     fitted = dataclasses.replace(investigation.catalogue["yaw_damping"][0], coefficient=0.123)
     tried = []
 
-    def record(base, name, vehicle, stages):
+    def record(investigation, base, name, vehicle, stages):
         tried.append(vehicle.effects[name])
         return Screened(name, vehicle, 0.0, "chassis")
 
-    monkeypatch.setattr(investigation, "_try", record)
-    investigation.screen(investigation.base, "yaw_damping", [fitted])
+    monkeypatch.setattr(screening, "_try", record)
+    screen(investigation, investigation.base, "yaw_damping", [fitted])
     assert set(investigation.catalogue["yaw_damping"]) | {fitted} <= set(tried)
 
 
 @needs_compiler
 @pytest.mark.slow
 def test_a_small_effect_beside_a_large_one_is_named(monkeypatch):
-    monkeypatch.setattr("racerl.gap.name.WORTH", 0.06)
+    monkeypatch.setattr("racerl.gap.comparison.WORTH", 0.06)
     log = drive(
         "+vehicle/effect=[steering_offset,steering_gain]",
         "vehicle.effects.steering_offset.offset=0.08",
         "vehicle.effects.steering_gain.gain=0.92",
         seconds=90.0,
     )
-    decision = name_effects(investigate(log, "steering_offset", "steering_gain", "steering_saturation"), 0)
+    decision = name_effects(investigate(log, "steering_offset", "steering_gain", "steering_saturation"))
     assert decision.chosen == ["steering_offset", "steering_gain"] and decision.rounds[1][0].worth < 0.06
     assert decision.found.theta["effects.steering_gain.gain"] == pytest.approx(0.92, abs=0.01)
 
@@ -403,7 +418,7 @@ def test_what_is_left_by_a_name_is_excused_only_where_sensors_were_filtered(monk
     words = ["+vehicle/effect=[steering_offset,viscous_drag]", "vehicle.effects.viscous_drag.coefficient=8.0"]
     log = drive(*words, seconds=90.0)
     investigation = investigate(log, "viscous_drag")
-    decision = name_effects(investigation, 0)
+    decision = name_effects(investigation)
     monkeypatch.setattr("racerl.gap.verdict.COARSE", 0.1)
     assert decision.chosen == ["viscous_drag"] and judge(investigation, decision).kind == "unknown"
     monkeypatch.setattr(Evidence, "filtered", True)
@@ -412,14 +427,14 @@ def test_what_is_left_by_a_name_is_excused_only_where_sensors_were_filtered(monk
 
 @needs_compiler
 def test_nothing_is_named_on_a_clean_log(clean):
-    assert name_effects(investigate(clean, "yaw_damping", "aero_drag", "steering_delay"), 0).chosen == []
+    assert name_effects(investigate(clean, "yaw_damping", "aero_drag", "steering_delay")).chosen == []
 
 
 @needs_compiler
 def test_one_pass_over_the_catalogue_puts_the_hidden_effect_first(damped):
     names = ("yaw_damping", "locked_differential", "steering_gain", "aero_drag", "pose_latency", "steering_delay")
     investigation = investigate(damped, *names)
-    score = investigation.score(investigation.base)
+    score = summed(scores(investigation, investigation.base).values())
     gains = score.gains()
     assert max(gains, key=gains.get) == "yaw_damping" and gains["yaw_damping"] > 1.2 * gains["locked_differential"]
     assert gains["steering_delay"] < 50.0  # a χ² of one degree of freedom, on residuals that are not quite white

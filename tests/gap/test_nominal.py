@@ -6,7 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from racerl.gap.investigation import Investigation, Screened
+from racerl.gap import nominal
+from racerl.gap.candidates import add, converged, everywhere, joined
+from racerl.gap.screening import Screened, screen
 from racerl.vehicle.parameter import replace_values, values
 from tests.gap.conftest import configured, drive, investigate
 
@@ -54,48 +56,48 @@ def test_where_it_starts_does_not_matter(stiff, found):
 
 def test_two_starts_that_end_apart_ask_for_more(stiff, monkeypatch):
     """The fit tries other starts until the best end is met twice."""
-    grown, ends = Investigation._grown, []
+    grown, ends = nominal.grown, []
 
-    def first_end_badly(investigation, vehicle):
-        end = grown(investigation, vehicle)
+    def first_end_badly(data, vehicle):
+        end = grown(data, vehicle)
         ends.append(end)
         return replace(end, cost={name: part * 3.0 for name, part in end.cost.items()}) if len(ends) < 2 else end
 
-    monkeypatch.setattr(Investigation, "_grown", first_end_badly)
+    monkeypatch.setattr(nominal, "grown", first_end_badly)
     found = investigate(stiff)
     assert len(ends) == 4 and found.base.cost["chassis"].sum() < 1.05 * found.floor["chassis"]
-    assert found.doubts() == []
+    assert found.nominal.doubts() == []
 
 
 def test_a_refit_that_is_met_once_only_is_doubted(clean, monkeypatch):
     losses = iter(range(1, 1000))
-    monkeypatch.setattr(Investigation, "_loss", lambda *asked: float(next(losses)))
-    assert "from each of 6 starts" in investigate(clean).doubts()[0]
+    monkeypatch.setattr(nominal, "loss", lambda *asked: float(next(losses)))
+    assert "from each of 6 starts" in investigate(clean).nominal.doubts()[0]
 
 
 def test_an_effect_more_never_costs_more(found):
     base = found.base
     for name in ("yaw_damping", "drive_delay"):
-        vehicle = found.joined(base.vehicle, name, found.catalogue[name][0])
-        more = found.converged(found.add(base, name, vehicle))
+        vehicle = joined(found, base.vehicle, name, found.catalogue[name][0])
+        more = converged(found, add(found, base, name, vehicle))
         for stage, cost in more.cost.items():
             assert cost.sum() <= base.cost[stage].sum() * 1.001, (name, stage)
         # the other stages stay as they are when all are identified again
-        everywhere = found.everywhere(more)
-        for stage, cost in everywhere.cost.items():
+        for stage, cost in everywhere(found, more).cost.items():
             assert cost.sum() <= base.cost[stage].sum() * 1.001, (name, stage)
 
 
 def test_a_candidate_starts_anew_in_its_own_stages_only(found, monkeypatch):
     """Where the fit is astray a candidate starts as configured, too; what other stages found is kept."""
-    monkeypatch.setattr(Investigation, "beyond", lambda *asked: 100.0)
+    monkeypatch.setattr("racerl.gap.screening.beyond", lambda *asked: 100.0)
     tried = []
     monkeypatch.setattr(
-        Investigation,
-        "_try",
-        lambda self, base, name, vehicle, stages: tried.append(vehicle) or Screened(name, vehicle, 0.0, "drive"),
+        "racerl.gap.screening._try",
+        lambda investigation, base, name, vehicle, stages: (
+            tried.append(vehicle) or Screened(name, vehicle, 0.0, "drive")
+        ),
     )
-    found.screen(found.base, "drive_delay")
+    screen(found, found.base, "drive_delay")
     fitted, given = values(found.base.vehicle), values(found.vehicle)
     assert len(tried) % 2 == 0
     again, anew = values(tried[0]), values(tried[-1])
@@ -115,7 +117,7 @@ def test_priors_are_as_strong_as_what_is_left_asks_for(clean, damped):
 def test_steps_in_vain_leave_no_trace(clean, monkeypatch):
     """Where no step helps, the fit is what it was at the start, initial states too."""
     problem, fit = (part := investigate(clean).base).problem, part.fit
-    monkeypatch.setattr("racerl.gap.problem._Landscape.cost", lambda *asked: np.inf)
+    monkeypatch.setattr("racerl.gap.problem.Landscape.cost", lambda *asked: np.inf)
     again = problem.fit(fit.theta, fit.initial, iterations=3)
     assert again.theta == fit.theta
     for before, after in zip(fit.initial, again.initial, strict=True):

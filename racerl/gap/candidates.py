@@ -1,0 +1,55 @@
+"""Fits of candidates: a fitted model with an effect more, with one less, or with everything identified again."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from racerl.gap.fit_data import FitData
+from racerl.gap.fitted_model import COG, LONGEST, FittedModel, fit_model, settled_fit, touched, with_effect
+from racerl.gap.investigation import Investigation
+from racerl.vehicle.effects import Effect
+from racerl.vehicle.parameter import replace_values
+from racerl.vehicle.vehicle import Vehicle
+
+REFINE = 8  # most steps of a candidate's first fit
+
+
+def joined(data: FitData, vehicle: Vehicle, name: str, effect: Effect) -> Vehicle:
+    """Return a fitted vehicle with an effect more; a displaced centre of gravity starts from l_f as weighed."""
+    more = with_effect(vehicle, name, effect)
+    return replace_values(more, {"l_f": data.vehicle.l_f}) if name == COG else more
+
+
+def add(data: FitData, base: FittedModel, name: str, vehicle: Vehicle) -> FittedModel:
+    """Fit a vehicle with an effect more than a fitted one has, over the stages that they touch."""
+    effects = base.effects | {name}
+    return fit_model(data, effects, vehicle, base, REFINE, stages=touched(data, vehicle, effects))
+
+
+def converged(data: FitData, found: FittedModel) -> FittedModel:
+    """Return a fit carried on to its end."""
+    if found.fit.converged:
+        return found
+    return settled_fit(data, found.effects, found.vehicle, found, stages=list(found.cost))
+
+
+def again(data: FitData, found: FittedModel, changes: Mapping[str, float]) -> FittedModel:
+    """Return a fit over the same stages that starts from a fitted vehicle with some values changed."""
+    vehicle = replace_values(found.vehicle, changes)
+    return fit_model(data, found.effects, vehicle, found, LONGEST, stages=list(found.cost))
+
+
+def without(data: FitData, base: FittedModel, name: str) -> FittedModel:
+    """Fit a vehicle that lacks one effect of a fitted one, over the same stages."""
+    others = {key: effect for key, effect in base.vehicle.effects.items() if key != name}
+    vehicle = replace(base.vehicle, effects=others)
+    return settled_fit(data, base.effects - {name}, vehicle, base, stages=list(base.cost))
+
+
+def everywhere(data: FitData, found: FittedModel) -> FittedModel:
+    """Identify all parameters again, over all stages, with the effects of a fit."""
+    return settled_fit(data, found.effects, found.vehicle, found, stages=list(data.evidence))
+
+
+def unfitted(investigation: Investigation) -> FittedModel:
+    """Return the vehicle as configured, with initial states fitted only."""
+    return fit_model(investigation, frozenset(), investigation.vehicle, investigation.base, REFINE, free=())

@@ -1,0 +1,197 @@
+"""Comparing fitted models on windows that they have not seen: what a candidate gains, and how sure that is."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from racerl.estimation.blocks import resampled
+from racerl.gap.cross_validation import held_out
+from racerl.gap.fitted_model import FittedModel, touched
+from racerl.gap.folds import blocks
+from racerl.gap.investigation import Investigation
+from racerl.gap.score import Score
+
+Array = NDArray[np.float64]
+RESAMPLES = 2000
+OUTER = 0.02  # share of the blocks on each side that count no more than their neighbours
+CLEAR = 3.0  # standard errors by which a gain must differ from zero
+SURE = 5.0  # the same, where the excess is no larger than the noise is known
+SAME = 2.0  # standard errors within which candidates explain alike
+BEHIND = 3.0  # standard errors that a rival may be behind
+EQUAL = 0.05  # share of the excess that a rival may explain less
+PARAMETER = 0.01  # share of the excess that one more parameter must explain
+WILD, TYPICAL = 30.0, 10.0  # mean squared deviation of a wild window, and its cost in median ones
+WORTH = 0.04  # share of the first excess, and of what is left of it before the round, that an effect must explain
+REAL = 0.05  # excess cost over the noise's that is real: the noise itself is known to a few percent
+ALL, SMALL = 0.75, 0.01  # shares of what is left, and of the first excess, that are not an earlier effect's wrong form
+LIKE = 0.5  # |cosine| with an effect found before, from which on a small one may mend its form
+
+
+@dataclass(frozen=True)
+class CandidateScore:
+    """A candidate on held-out windows: its fit, its cost per window and stage, and what it gains.
+
+    `gain` is in squared deviations, robust against wild windows, `error` its standard error over blocks of windows;
+    `explained` the share that it takes of the excess in the stages that it touches, `worth` of the first one there;
+    `before` is the excess before it, of the stage that has most, over the noise's cost; `behind` is by how much the
+    best one of the round gains more, in standard errors of the difference.
+    """
+
+    name: str
+    found: FittedModel
+    cost: dict[str, Array]
+    gain: float
+    error: float
+    p: float
+    explained: float
+    worth: float
+    before: float
+    like: float = 0.0  # largest |cosine| with the effects beside it
+    behind: float = 0.0
+
+    @property
+    def size(self) -> int:
+        """Number of the effect's own parameters."""
+        return sum(name.startswith(f"effects.{self.name}.") for name in self.found.problem.names)
+
+    @property
+    def clear(self) -> bool:
+        """Whether the gain differs from zero."""
+        return self.gain > CLEAR * self.error
+
+    @property
+    def needed(self) -> bool:
+        """Whether the effect is needed.
+
+        A small one beside a large one has to explain most of what that one leaves, and not look like it. Where the
+        excess is no larger than the noise is known, shares of it say nothing, and one effect has to gain the more.
+        """
+        small = self.explained > ALL and self.worth > SMALL and self.before > REAL and self.like < LIKE
+        sure = self.before < REAL and self.gain > SURE * self.error and self.found.effects == {self.name}
+        return sure or (self.clear and self.explained >= WORTH and (self.worth >= WORTH or small))
+
+
+def excess(investigation: Investigation, cost: Mapping[str, Array], noise: Mapping[str, float]) -> float:
+    """Return the cost beyond what the sensors' noise alone would leave; wild windows count up to a limit."""
+    return total(excesses(investigation, cost, noise).values())
+
+
+def total(parts: Iterable[float]) -> float:
+    """Return the sum of some stages' excesses; one below zero makes up for no other."""
+    return sum(max(0.0, part) for part in parts)
+
+
+def excesses(investigation: Investigation, cost: Mapping[str, Array], noise: Mapping[str, float]) -> dict[str, float]:
+    """Return the excess of every stage; below zero where the noise is known too badly."""
+    return {name: float(np.minimum(part, wild(investigation, name)).sum()) - noise[name] for name, part in cost.items()}
+
+
+def wild(investigation: Investigation, stage: str, cost: Array | None = None) -> float:
+    """Return the cost of a window beyond which its size says nothing more, from costs (the nominal fit's)."""
+    usual = investigation.base.cost[stage] if cost is None else cost
+    return max(WILD * investigation.evidence[stage].numbers, TYPICAL * float(np.median(usual)))
+
+
+def _winsorised(sums: Array) -> Array:
+    """Return values with the outermost on each side moved to their neighbours."""
+    ordered = np.sort(sums)
+    outer = max(1, round(OUTER * len(sums)))
+    return np.clip(sums, ordered[outer], ordered[-1 - outer]) if len(sums) > 2 * outer + 1 else sums
+
+
+def close(row: CandidateScore) -> bool:
+    """Return whether a candidate helps, and hardly less than the best of its round."""
+    return row.clear and row.behind < BEHIND
+
+
+def equals(rows: Sequence[CandidateScore]) -> list[CandidateScore]:
+    """Return the candidates that explain the data as well as the best.
+
+    More parameters have to explain more, or to foresee held-out windows better.
+    """
+    best = rows[0]
+
+    def equal(other: CandidateScore) -> bool:
+        slack = EQUAL if other.size <= best.size or other.behind < 0.0 else 0.0
+        return other.explained - PARAMETER * other.size > best.explained - PARAMETER * best.size - slack
+
+    return [other for other in rows[1:] if close(other) and equal(other)]
+
+
+@dataclass(frozen=True)
+class Judge:
+    """Judges fits by held-out costs, with block bootstrap."""
+
+    investigation: Investigation
+    first: Mapping[str, Array]  # costs without any effect
+    nominal: Score = Score([], np.zeros((0, 0)), np.zeros(0))  # there, of the catalogue's effects
+
+    def score(
+        self, name: str, found: FittedModel, before: Mapping[str, Array], noise: Mapping[str, float]
+    ) -> CandidateScore:
+        """Return what a fit with an effect more gains upon the costs before it, of which noise has its share."""
+        cost = held_out(self.investigation, found)
+        gain, error = self.gain(before, cost)
+        stages = touched(self.investigation, found.vehicle, [name])
+        parts = [
+            excesses(self.investigation, {stage: part[stage] for stage in stages}, noise)
+            for part in (before, cost, self.first)
+        ]
+        had, left, first = (total(part.values()) for part in parts)
+        least = 0.001 * sum(noise[stage] for stage in stages)  # so small an excess is noise itself
+        share, worth = (had - left) / max(had, least), (had - left) / max(first, least)
+        most = max(part / noise[stage] for stage, part in parts[0].items())
+        like = self.nominal.likeness(name, found.effects - {name})
+        return CandidateScore(name, found, cost, gain, error, self.chance(before, cost), share, worth, most, like)
+
+    def ranked(self, scored: Sequence[CandidateScore], before: Mapping[str, Array]) -> list[CandidateScore]:
+        """Return candidates, best first: by their gains, but of those alike the one that explains most first."""
+        rows = sorted(scored, key=lambda row: -row.gain)
+        if rows:
+            alike = [row for row in rows if row.clear >= rows[0].clear and self.behind(rows[0], row, before) < SAME]
+            first = max(alike, key=lambda row: row.explained - PARAMETER * row.size)
+            rows = [first, *(row for row in rows if row is not first)]
+        return [replace(row, behind=self.behind(rows[0], row, before)) for row in rows]
+
+    def behind(self, best: CandidateScore, other: CandidateScore, before: Mapping[str, Array]) -> float:
+        """Return by how many standard errors a candidate is worse than the best."""
+        if other is best:
+            return 0.0
+        gain, error = self.gain({**before, **other.cost}, {**before, **best.cost})
+        return gain / max(error, 1e-9)
+
+    def gain(self, before: Mapping[str, Array], after: Mapping[str, Array]) -> tuple[float, float]:
+        """Return the fall of the loss over the stages in both, and its standard error over blocks of windows."""
+        sums = self._blocks(before, after)
+        total = float(sums.sum())
+        return total, float(np.sqrt(((sums - total / max(len(sums), 1)) ** 2).sum()))
+
+    def chance(self, before: Mapping[str, Array], after: Mapping[str, Array]) -> float:
+        """Return the share of block-bootstrap resamples in which the loss does not fall."""
+        sums = self._blocks(before, after)
+        generator = np.random.default_rng(self.investigation.seed)
+        return float((resampled(sums, RESAMPLES, generator) <= 0.0).mean())
+
+    def _blocks(self, before: Mapping[str, Array], after: Mapping[str, Array]) -> Array:
+        """Return the fall of the loss by block, (B,), winsorised: no block decides alone."""
+        parts = []
+        for stage in after:
+            if stage in before:
+                fall = self.loss(stage, before[stage]) - self.loss(stage, after[stage])
+                parts.append(_winsorised(np.bincount(blocks(self.investigation.evidence[stage]), fall).astype(float)))
+        return np.concatenate(parts)
+
+    def loss(self, stage: str, cost: Array) -> Array:
+        """Return n log(1 + cost/n), n the cost of a usual window: one that no fit foresaw does not decide alone.
+
+        A fit must not give windows up, and counts them by the root of their cost; a judgement of it may.
+        """
+        n = wild(self.investigation, stage) / WILD
+        return n * np.log1p(cost / n)
+
+    def slope(self, stage: str, cost: Array) -> float:
+        """Return the mean slope of the loss at some windows' costs."""
+        n = wild(self.investigation, stage) / WILD
+        return float((1.0 / (1.0 + cost / n)).mean())

@@ -1,0 +1,77 @@
+"""Backward elimination: every effect is judged again beside those found after it.
+
+What they make needless is taken out, and a rival that now explains more takes its place. At last everything is
+identified again, and an effect goes whose interval then holds the value of no effect.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from racerl.gap.candidates import add, everywhere, joined, without
+from racerl.gap.catalogue import neutral
+from racerl.gap.comparison import CandidateScore, Judge, close
+from racerl.gap.decision import Decision, carried, changed, passes_less_noise
+from racerl.gap.investigation import Investigation
+from racerl.gap.progress import OnProgress, silent
+from racerl.gap.uncertainty import intervals
+from racerl.vehicle import catalogue
+
+
+def eliminated(judge: Judge, decision: Decision, on_progress: OnProgress = silent) -> Decision:
+    """Judge every effect again beside the others; the last one found is judged so already, unless others change."""
+    found = decision.chosen
+    for i, name in enumerate(found[:-1]):
+        on_progress(f"{name} again", 0.5 * i / len(found))
+        decision = _judged_again(judge, decision, name)
+    if decision.chosen != found:
+        for i, name in enumerate(decision.chosen):
+            on_progress(f"{name} again", 0.5 + 0.5 * i / len(found))
+            decision = _judged_again(judge, decision, name)
+    return decision
+
+
+def _judged_again(judge: Judge, decision: Decision, name: str) -> Decision:
+    """Judge an effect beside the others, and its rivals in its place: it stays, goes, or is exchanged."""
+    investigation = judge.investigation
+    less = carried(investigation, without(investigation, decision.found, name))
+    others = {other: rows for other, rows in decision.kept.items() if other != name}
+    lacking = changed(investigation, decision, others, less)
+    own = judge.score(name, decision.found, lacking.cost, lacking.noise)
+    if not own.needed:
+        return lacking
+    near = [row for row in decision.kept[name][1:] if close(row) and row.name not in others]
+    rivals = investigation.workers.each(lambda row: _instead(judge, lacking, row), near)
+    sound = [rival for rival in rivals if rival.needed and not passes_less_noise(judge, lacking, rival)]
+    rows = judge.ranked([own, *sound], lacking.cost)
+    kept = dict((rows[0].name, rows) if other == name else (other, kept) for other, kept in decision.kept.items())
+    if rows[0].name == name:
+        return replace(decision, kept=kept)
+    return changed(investigation, decision, kept, rows[0].found)
+
+
+def _instead(judge: Judge, lacking: Decision, rival: CandidateScore) -> CandidateScore:
+    """Return a rival of an effect, fitted and judged beside all others."""
+    investigation, effect = judge.investigation, rival.found.vehicle.effects[rival.name]
+    vehicle = joined(investigation, lacking.found.vehicle, rival.name, effect)
+    found = add(investigation, lacking.found, rival.name, vehicle)
+    return judge.score(rival.name, carried(investigation, found), lacking.cost, lacking.noise)
+
+
+def settled(investigation: Investigation, decision: Decision) -> Decision:
+    """Identify everything again in all stages; take out effects whose interval then holds the value of no effect."""
+    while True:
+        found = everywhere(investigation, decision.found)
+        ranges = intervals(investigation, found)
+        idle = [name for name in decision.chosen if _idle(name, ranges)]
+        if not idle:
+            return replace(decision, found=found)
+        kept = {name: rows for name, rows in decision.kept.items() if name != idle[0]}
+        decision = changed(investigation, decision, kept, without(investigation, found, idle[0]))
+
+
+def _idle(name: str, ranges: Mapping[str, tuple[float, float, float]]) -> bool:
+    first, zero = neutral(name)
+    if not catalogue.entry(name).cls.vanishes:
+        return False
+    _, low, high = ranges[f"effects.{name}.{first}"]
+    return low <= zero <= high

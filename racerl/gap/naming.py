@@ -1,0 +1,78 @@
+"""Naming the missing effect: score the catalogue, fit the shortlist, decide on stretches that no fit has seen.
+
+Round by round the effect that helps most on held-out windows is added, until none helps significantly; then backward
+elimination judges every one again beside those found after it.
+"""
+
+from collections.abc import Mapping
+
+from racerl.gap.candidates import add, converged
+from racerl.gap.comparison import CandidateScore, Judge, excess
+from racerl.gap.cross_validation import held_out
+from racerl.gap.decision import Decision, carried, changed, passes_less_noise
+from racerl.gap.elimination import eliminated, settled
+from racerl.gap.investigation import Investigation
+from racerl.gap.progress import OnProgress, silent, within
+from racerl.gap.score import Score, summed
+from racerl.gap.screening import Screened, hopeful, lost, scores, screen, shortlist
+
+CLOSE = 0.5  # of the most gain, above which a candidate's fit is carried on to its end
+ROUNDS = 4
+REVIEW = 0.9  # share of the naming behind which effects are judged again
+SCREENED, FITTED = 0.7, 0.95  # shares of a round behind which candidates are screened, and fitted
+
+
+def name_effects(investigation: Investigation, on_progress: OnProgress = silent) -> Decision:
+    """Return the effects that held-out windows ask for."""
+    base = investigation.base
+    on_progress("first-order gains", 0.0)
+    cost = held_out(investigation, base)
+    ahead = scores(investigation, base)
+    score = summed(ahead.values())
+    judge = Judge(investigation, cost, score)
+    first = [excess(investigation, cost, investigation.floor)]
+    decision = Decision({}, base, cost, dict(investigation.floor), score, excess=first)
+    for number in range(ROUNDS):
+        if number:
+            ahead = scores(investigation, decision.found)
+        part = number * REVIEW / ROUNDS, (number + 1) * REVIEW / ROUNDS
+        rows = _round(judge, decision, ahead, within(on_progress, *part))
+        while rows and rows[0].needed and passes_less_noise(judge, decision, rows[0]):
+            rows = judge.ranked(rows[1:], decision.cost)
+        decision.rounds.append(rows)
+        if not rows or not rows[0].needed:
+            break
+        found = carried(investigation, rows[0].found)
+        decision = changed(investigation, decision, {**decision.kept, rows[0].name: rows}, found)
+    return settled(investigation, eliminated(judge, decision, within(on_progress, REVIEW, 1.0)))
+
+
+def _round(
+    judge: Judge, decision: Decision, ahead: Mapping[str, Score], on_progress: OnProgress
+) -> list[CandidateScore]:
+    """Return the candidates beside those chosen, on held-out windows, best first."""
+    investigation, current = judge.investigation, decision.found
+    each = investigation.workers.each
+
+    def screened(name: str) -> Screened | None:
+        fitted = [row.found.vehicle.effects[name] for rows in decision.rounds for row in rows if row.name == name]
+        return screen(investigation, current, name, fitted)
+
+    def added(one: Screened) -> CandidateScore:
+        return judge.score(one.name, add(investigation, current, one.name, one.vehicle), decision.cost, decision.noise)
+
+    asked = shortlist(ahead, lost(investigation, current))
+    tried = each(screened, asked, within(on_progress, 0.0, SCREENED))
+    shown = [one for one in tried if one is not None]
+    chosen = {one.name: one for stage, score in ahead.items() for one in hopeful(shown, score, stage)}
+    fitted = within(on_progress, SCREENED, FITTED)
+    rows = each(added, list(chosen.values()), lambda one, share: fitted(one.name, share))
+    most = max((row.gain for row in rows), default=0.0)
+
+    def carried_on(row: CandidateScore) -> CandidateScore:
+        if row.gain <= max(CLOSE * most, row.error):
+            return row
+        return judge.score(row.name, converged(investigation, row.found), decision.cost, decision.noise)
+
+    ended = within(on_progress, FITTED, 1.0)
+    return judge.ranked(each(carried_on, rows, lambda row, share: ended(row.name, share)), decision.cost)

@@ -1,0 +1,56 @@
+"""What the sensors' noise alone would leave of errors, if a fitted vehicle were right: the floor of every gap."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from racerl.gap.fit_data import FitData
+from racerl.gap.fitted_model import FittedModel
+from racerl.gap.stage_fit import StageFit
+from racerl.gap.stage_problem import StageProblem
+
+Array = NDArray[np.float64]
+CALM = 10.0  # times the noise's cost in a usual window, beyond which a window's tells of the vehicle
+
+
+def expected_errors(stage: StageProblem, theta: Mapping[str, float], initial: Array, noise: Array, seed: int) -> Array:
+    """Return the errors (T + 1, C, W) that a right vehicle would leave: one draw of the sensors' `noise` (C,).
+
+    Noise of measured inputs counts: it drives the car that is simulated, not the one that was measured.
+    """
+    generator = np.random.default_rng(seed)
+    alone = stage.at(theta)
+    still = replace(alone.windows({}), initial=initial)
+    truth = stage.rollout.predict(alone.parameters({}), still)
+    noisy = replace(alone, evidence=stage.evidence.with_noisy_inputs(generator))
+    work = StageFit(noisy, {}, None)
+    shown = truth + noise[:, None] * generator.standard_normal(truth.shape)
+    work.windows = replace(work.windows, measured=np.ascontiguousarray(shown))
+    work.initial = initial.copy()
+    work.settled()
+    return work.errors({})
+
+
+def expected(data: FitData, found: FittedModel, seed: int) -> dict[str, Array]:
+    """Return the errors (T + 1, C, W) per stage that sensors' noise alone would leave in a right vehicle."""
+    return {
+        (name := stage.evidence.stage.name): expected_errors(stage, found.theta, initial, data.noise[name], seed)
+        for stage, initial in zip(found.problem.stages, found.fit.initial, strict=True)
+    }
+
+
+def noise_cost(data: FitData, found: FittedModel, seed: int) -> dict[str, float]:
+    """Return the cost per stage that sensors' noise alone would leave if a fitted vehicle were right."""
+    key = data.checkpoint.key("noise", found.key, data.noise, seed)
+    parts = data.checkpoint.recall(
+        key, lambda: {name: np.array([part]) for name, part in squares(data, expected(data, found, seed)).items()}
+    )
+    return {name: float(parts[name][0]) for name in found.cost}
+
+
+def squares(data: FitData, errors: Mapping[str, Array]) -> dict[str, float]:
+    """Return the summed cost per stage; a window in which noise makes the vehicle spin counts up to a limit."""
+    costs = {name: ((part / data.sigma[name][:, None]) ** 2).sum(axis=(0, 1)) for name, part in errors.items()}
+    return {name: float(np.minimum(part, CALM * np.median(part)).sum()) for name, part in costs.items()}

@@ -1,0 +1,76 @@
+"""How sure a fitted model's parameters are: deviations robust against errors that hang together, and intervals."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from racerl.gap.catalogue import PLACE, neutral, placed
+from racerl.gap.checkpoint import Parts
+from racerl.gap.fitted_model import COG, FittedModel
+from racerl.gap.folds import blocks
+from racerl.gap.investigation import Investigation
+from racerl.vehicle.vehicle import Vehicle
+
+FAR = 2.0  # prior deviations, beyond which a refitted parameter is a clue in itself
+FORM = 0.05  # deviation, as a share, between the parameters of an effect's forms where it has many (development logs)
+EXACT = 0.01  # the same, where it has one
+
+
+def deviations(investigation: Investigation, found: FittedModel) -> dict[str, float]:
+    """Return the standard deviation of every parameter of a fit.
+
+    How far the centre of gravity is from where it was weighed is known no better than it was weighed.
+    """
+
+    def variances() -> Parts:
+        alike = [blocks(investigation.evidence[name]) for name in found.cost]
+        return {"variances": np.diag(found.problem.covariance(found.fit, alike))}
+
+    checkpoint = investigation.checkpoint
+    parts = checkpoint.recall(checkpoint.key("variances", found.key), variances)
+    found_deviations = np.sqrt(np.maximum(parts["variances"], 0.0)).tolist()
+    known = dict(zip(found.problem.names, found_deviations, strict=True))
+    offset, weighed = f"effects.{COG}.offset", {u.name: u.sigma for u in investigation.unknowns}.get("l_f", 0.0)
+    return {**known, offset: float(np.hypot(known[offset], weighed))} if offset in known else known
+
+
+def intervals(investigation: Investigation, found: FittedModel) -> dict[str, tuple[float, float, float]]:
+    """Return each fitted parameter's value and 95 % interval, inside the physical bounds.
+
+    An effect's parameters are known no better than its form is: the car's effect may have another.
+    """
+    bounds = {unknown.name: (unknown.low, unknown.high) for unknown in found.problem.unknowns}
+    ranges = {}
+    for name, deviation in deviations(investigation, found).items():
+        value, (low, high) = found.theta[name], bounds[name]
+        half = 1.96 * math.hypot(deviation, _form(found.vehicle, name, value))
+        ranges[name] = value, max(value - half, low), min(value + half, high)
+    return ranges
+
+
+def _form(vehicle: Vehicle, parameter: str, value: float) -> float:
+    """Return the deviation between a parameter of an effect's likely forms, by its distance from no effect.
+
+    That of a place is in the effect's own length.
+    """
+    name, _, key = parameter.removeprefix("effects.").rpartition(".")
+    effect = vehicle.effects.get(name)
+    if effect is None or not effect.physical:
+        return 0.0
+    first, zero = neutral(name)
+    size = value - zero if key == first else value
+    if placed(name) and key in PLACE:
+        size = float(getattr(effect, "radius", 0.0))
+    return (EXACT if effect.exact else FORM) * abs(size)
+
+
+def moved(investigation: Investigation) -> list[dict[str, Any]]:
+    """Return the vehicle's parameters that the nominal fit took far from where they were configured, or to a bound."""
+    rows = []
+    for unknown in investigation.base.problem.unknowns:
+        value = investigation.base.theta[unknown.name]
+        bound = value in (unknown.low, unknown.high)
+        if bound or abs(value - unknown.start) > FAR * unknown.sigma:
+            rows.append({"name": unknown.name, "configured": unknown.start, "refitted": value, "at_bound": bound})
+    return rows
