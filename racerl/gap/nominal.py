@@ -15,7 +15,7 @@ from racerl.estimation.pseudo_huber import pseudo_huber
 from racerl.estimation.unknowns import Unknowns
 from racerl.gap.evidence import Evidence
 from racerl.gap.fit_data import FitData, sampled
-from racerl.gap.fitted_model import LONGEST, ROUNDS, FittedModel, fit_model, settled_fit
+from racerl.gap.fitted_model import LONGEST, FittedModel, fit_model, settled_fit
 from racerl.vehicle.parameter import replace_values
 from racerl.vehicle.vehicle import Vehicle
 
@@ -41,7 +41,7 @@ class Nominal:
         if not self.met_twice:
             lines.append(f"the refit ended elsewhere from each of {STARTS} starts: another may fit better")
         if not self.model.fit.converged:
-            lines.append(f"the refit still gained after {ROUNDS * LONGEST} steps: it may not be the best there is")
+            lines.append(f"the refit is at no minimum: {self.model.fit.why}; another may fit better")
         return lines
 
 

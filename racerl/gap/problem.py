@@ -39,8 +39,13 @@ class Fit:
     initial: list[Array]
     cost: list[Array]
     strength: list[float]  # λ of every stage that its residuals ask for
-    converged: bool
+    why: str  # it is no minimum; "" if it is one
     linearise: Callable[[], list[Linear]]  # a fit of a checkpoint is without: few are asked for it
+
+    @property
+    def converged(self) -> bool:
+        """Whether an undamped step gains nothing there."""
+        return not self.why
 
     @cached_property
     def lines(self) -> list[Linear]:
@@ -57,7 +62,7 @@ class Fit:
         return {
             "theta": np.array(list(self.theta.values())),
             "strength": np.array(self.strength),
-            "converged": np.array([self.converged]),
+            "why": np.frombuffer(self.why.encode(), dtype=np.uint8),
             **{f"initial.{i}": self.initial[i] for i in stages},
             **{f"cost.{i}": self.cost[i] for i in stages},
         }
@@ -69,7 +74,7 @@ class Fit:
         """Return the fit of which these are the parts, θ in this order."""
         initial, cost = ([parts[f"{what}.{i}"] for i in range(len(parts["strength"]))] for what in ("initial", "cost"))
         theta = dict(zip(names, parts["theta"].tolist(), strict=True))
-        return cls(theta, initial, cost, parts["strength"].tolist(), bool(parts["converged"][0]), linearise)
+        return cls(theta, initial, cost, parts["strength"].tolist(), parts["why"].tobytes().decode(), linearise)
 
 
 class Problem:
@@ -116,7 +121,7 @@ class Problem:
         landscape = Landscape(self, work)
         end = descend(landscape, start, iterations, tolerance)
         landscape.put(end.place)  # the step tried last may have been in vain
-        return self._result(work, end.place[0], end.slope.lines, end.converged)
+        return self._result(work, end.place[0], end.slope.lines, end.why)
 
     def named(self, vector: Array) -> dict[str, float]:
         """Return θ by name."""
@@ -155,11 +160,11 @@ class Problem:
         """Return where the names of a stage stand in θ."""
         return [self.names.index(name) for name in stage.names]
 
-    def _result(self, work: Sequence[StageFit], vector: Array, lines: list[Linear], converged: bool) -> Fit:
+    def _result(self, work: Sequence[StageFit], vector: Array, lines: list[Linear], why: str) -> Fit:
         theta = self.named(vector)
         initial = [stage.initial + stage.drift(theta)[0] for stage in work]
         strength = [stage.strength(theta, line) for stage, line in zip(work, lines, strict=True)]
-        return Fit(theta, initial, [line.cost for line in lines], strength, converged, lambda: lines)
+        return Fit(theta, initial, [line.cost for line in lines], strength, why, lambda: lines)
 
     def held_out(self, fit: Fit, folds: Sequence[Sequence[NDArray[np.bool_]]]) -> list[Array]:
         """Return the cost of every window (W,) per stage, under parameters that were found without its fold."""

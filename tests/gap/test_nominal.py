@@ -122,3 +122,9 @@ def test_steps_in_vain_leave_no_trace(clean, monkeypatch):
     assert again.theta == fit.theta
     for before, after in zip(fit.initial, again.initial, strict=True):
         assert np.array_equal(before, after)
+
+
+def test_a_refit_that_is_at_no_minimum_says_why(clean, monkeypatch):
+    monkeypatch.setattr("racerl.gap.fitted_model.LONGEST", 1)
+    monkeypatch.setattr("racerl.gap.fitted_model.ROUNDS", 1)
+    assert "the cost still falls after 1 steps" in investigate(clean).nominal.doubts()[-1]
