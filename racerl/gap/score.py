@@ -45,11 +45,13 @@ class Score:
         return float(np.abs(self.cosines()[self.names.index(name), known]).max())
 
 
-def score(problem: StageProblem, unknowns: Sequence[Unknown], theta: Mapping[str, float], initial: Array) -> Score:
+def score(
+    problem: StageProblem, unknowns: Sequence[Unknown], theta: Mapping[str, float], initial: Array, strength: float
+) -> Score:
     """Return the score of all effects that the kernel knows and the vehicle lacks.
 
-    The sensitivities to the stage's unknowns, inside their priors, and to every window's initial state are projected
-    out: what they can explain does not count for an effect.
+    The sensitivities to the stage's unknowns, inside priors of the strength λ that the fit had, and to every window's
+    initial state are projected out: what they can explain does not count for an effect.
     """
     rollout, size = problem.rollout, len(problem.rollout.names)
     car = problem.everything(theta)
@@ -71,7 +73,7 @@ def score(problem: StageProblem, unknowns: Sequence[Unknown], theta: Mapping[str
     # what stands at a bound cannot give way
     known = [u for u in unknowns if u.name in problem.names and u.low < theta[u.name] < u.high]
     free = problem.mixing[:, [problem.names.index(u.name) for u in known]]
-    precision = np.array([u.sigma**-2.0 for u in known])
+    precision = np.array([u.sigma**-2.0 * (1.0 if u.effect else strength) for u in known])
     slope = free.T @ g + precision * np.array([theta[u.name] - u.start for u in known])
     shared = free.T @ H @ picked
     moved = np.linalg.solve(free.T @ H @ free + np.diag(precision), np.column_stack([shared, slope]))

@@ -54,7 +54,7 @@ def scores(investigation: Investigation, base: FittedModel) -> dict[str, Score]:
         problem = StageProblem.of(
             evidence, investigation.kernels[name], base.vehicle, unknowns, investigation.sigma[name], whole=True
         )
-        found[name] = score(problem, unknowns, base.theta, begun(problem, base.initial, None))
+        found[name] = score(problem, unknowns, base.theta, begun(problem, base.initial, None), base.strength[name])
     return found
 
 

@@ -444,3 +444,23 @@ def test_one_pass_over_the_catalogue_puts_the_hidden_effect_first(damped):
         score.names.index(name) for name in ("yaw_damping", "locked_differential", "steering_delay")
     )
     assert abs(cosines[damping, spool]) > 0.5 and abs(cosines[damping, delay]) < 0.05
+
+
+@needs_compiler
+def test_the_score_takes_priors_as_strong_as_the_fit(damped):
+    """What the vehicle's own parameters cannot take up for strong priors counts for an effect."""
+    investigation = investigate(damped, "locked_differential")
+    base = investigation.base
+    around = [dataclasses.replace(u, start=base.theta[u.name]) for u in investigation.unknowns]
+
+    def gain(strength, unknowns):
+        like = dataclasses.replace(base, strength={**base.strength, "chassis": strength})
+        found = scores(dataclasses.replace(investigation, unknowns=unknowns), like)
+        return found["chassis"].gains()["locked_differential"]
+
+    loose, fit, tight = (gain(strength, around) for strength in (1.0, base.strength["chassis"], 1e9))
+    assert base.strength["chassis"] > 2.0 and len({round(each, 6) for each in (loose, fit, tight)}) == 3
+    assert tight == pytest.approx(gain(1.0, []), rel=1e-2)
+    assert scores(investigation, base)["chassis"].gains()["locked_differential"] == gain(
+        base.strength["chassis"], investigation.unknowns
+    )
