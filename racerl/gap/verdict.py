@@ -9,7 +9,7 @@ ambiguous       another effect explains the data as well
 unknown         what is left is real, and no known effect explains it
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,21 +58,27 @@ def judge(investigation: Investigation, decision: Decision) -> Verdict:
             reason = f"{len(blind)} of {len(decision.score.names)} effects would not show at their usual size"
             return Verdict("under_excited", (), (), blind, reason)
         return Verdict("none", (), (), blind, "the refitted vehicle reaches the noise")
+    explain = "explains" if len(effects) == 1 else "explain"
     if stage:
-        reason = f"{' and '.join(effects)} helps, but leaves {left / first:.0%} of the excess in the {stage} stage"
+        reason = f"with {listed(effects)}, {left / first:.0%} of the excess in the {stage} stage stays"
         return Verdict("unknown", effects, (), blind, reason)
     moved = touched(investigation, decision.found.vehicle, effects)  # elsewhere an excess is chance
     had, rest = (total(parts[stage] for stage in moved) for parts in (before, after))
     share = 1.0 - rest / max(had, 1e-9)
     if share < CREDIBLE and not any(_coarse(investigation, decision, stage, after[stage]) for stage in moved):
-        reason = f"{' and '.join(effects)} helps, but explains only {share:.0%} of a small excess"
+        reason = f"{listed(effects)} {explain} only {share:.0%} of a small excess"
         return Verdict("under_excited", (), (), blind, reason)
-    explained = f"{' and '.join(effects)} explains {share:.0%} of the excess"
+    explained = f"{listed(effects)} {explain} {share:.0%} of the excess"
     if had < REAL * sum(decision.noise[stage] for stage in moved):
         explained += ", which is no larger than the noise is known"
     if rivals:
-        return Verdict("ambiguous", effects, rivals, blind, f"{explained}, and so does {' or '.join(rivals)}")
+        return Verdict("ambiguous", effects, rivals, blind, f"{explained}; so does {listed(rivals, 'or')}")
     return Verdict("named" if len(effects) == 1 else "multiple", effects, (), blind, explained)
+
+
+def listed(names: Sequence[str], word: str = "and") -> str:
+    """Return names as they stand in a sentence: a, b and c."""
+    return f" {word} ".join([*([", ".join(names[:-1])] if len(names) > 1 else []), *names[-1:]])
 
 
 def _one_with(decision: Decision) -> list[str]:

@@ -438,6 +438,7 @@ def test_a_name_must_explain_most_of_a_small_excess(monkeypatch, chosen, excess,
     noise = {"chassis": 1e5, "steering": 1e4}
     decision = SimpleNamespace(chosen=chosen, kept={}, found=found, noise=noise, score=score)
     verdict = judge(investigation, decision)
+    assert kind != "under_excited" or verdict.reason == "aero_drag explains only 46% of a small excess"
     assert verdict.kind == kind and verdict.effects == (() if kind in ("under_excited", "none") else ("aero_drag",))
 
 
@@ -472,6 +473,10 @@ def test_effects_that_are_one_in_a_log_are_rivals(monkeypatch):
             chosen=["steering_offset"], kept=kept, found=found, noise={"chassis": 1e5}, score=score
         )
         verdict = judge(None, decision)
+        said = "steering_offset explains 100% of the excess" + "; so does steering_sensor_offset" * (
+            kind == "ambiguous"
+        )
+        assert verdict.reason == said
         assert verdict.kind == kind and verdict.rivals == (("steering_sensor_offset",) if kind == "ambiguous" else ())
 
 
