@@ -29,14 +29,23 @@ ALL, SMALL = 0.75, 0.01  # shares of what is left, and of the first excess, that
 LIKE = 0.5  # |cosine| with an effect found before, from which on a small one may mend its form
 
 
+@dataclass
+class Standing:
+    """A fit that candidates are judged beside: its cost on held-out windows, and what noise alone would leave."""
+
+    found: FittedModel
+    cost: dict[str, Array]
+    noise: dict[str, float]
+
+
 @dataclass(frozen=True)
 class CandidateScore:
     """A candidate on held-out windows: its fit, its cost per window and stage, and what it gains.
 
     `gain` is in squared deviations, robust against wild windows, `error` its standard error over blocks of windows;
     `explained` the share that it takes of the excess in the stages that it touches, `worth` of the first one there;
-    `before` is the excess before it, of the stage that has most, over the noise's cost; `behind` is by how much the
-    best one of the round gains more, in standard errors of the difference.
+    `before` is the excess that the fit before it leaves, of the stage that has most, over the noise's cost; `behind` is
+    by how much the best one of the round gains more, in standard errors of the difference.
     """
 
     name: str
@@ -67,10 +76,12 @@ class CandidateScore:
 
         A small one beside a large one has to explain most of what that one leaves, and not look like it. Where the
         excess is no larger than the noise is known, shares of it say nothing, and one effect has to gain the more.
+        Where the fit is at the noise, what held-out windows cost beyond it is what their folds know too badly.
         """
         small = self.explained > ALL and self.worth > SMALL and self.before > REAL and self.like < LIKE
         sure = self.before < REAL and self.gain > SURE * self.error and self.found.effects == {self.name}
-        return sure or (self.clear and self.explained >= WORTH and (self.worth >= WORTH or small))
+        left = self.before > 0.0 and self.explained >= WORTH and (self.worth >= WORTH or small)
+        return sure or (self.clear and left)
 
 
 def excess(investigation: Investigation, cost: Mapping[str, Array], noise: Mapping[str, float]) -> float:
@@ -128,21 +139,20 @@ class Judge:
     first: Mapping[str, Array]  # costs without any effect
     nominal: Score = Score([], np.zeros((0, 0)), np.zeros(0))  # there, of the catalogue's effects
 
-    def score(
-        self, name: str, found: FittedModel, before: Mapping[str, Array], noise: Mapping[str, float]
-    ) -> CandidateScore:
-        """Return what a fit with an effect more gains upon the costs before it, of which noise has its share."""
-        cost = held_out(self.investigation, found)
+    def score(self, name: str, found: FittedModel, standing: Standing) -> CandidateScore:
+        """Return what a fit with an effect more gains upon the one before it."""
+        investigation, before, noise = self.investigation, standing.cost, standing.noise
+        cost = held_out(investigation, found)
         gain, error = self.gain(before, cost)
-        stages = touched(self.investigation, found.vehicle, [name])
-        parts = [
-            excesses(self.investigation, {stage: part[stage] for stage in stages}, noise)
+        stages = touched(investigation, found.vehicle, [name])
+        had, left, first = (
+            total(excesses(investigation, {stage: part[stage] for stage in stages}, noise).values())
             for part in (before, cost, self.first)
-        ]
-        had, left, first = (total(part.values()) for part in parts)
+        )
         least = 0.001 * sum(noise[stage] for stage in stages)  # so small an excess is noise itself
         share, worth = (had - left) / max(had, least), (had - left) / max(first, least)
-        most = max(part / noise[stage] for stage, part in parts[0].items())
+        fit = {stage: investigation.cost(standing.found, stage) for stage in stages}
+        most = max(part / noise[stage] for stage, part in excesses(investigation, fit, noise).items())
         like = self.nominal.likeness(name, found.effects - {name})
         return CandidateScore(name, found, cost, gain, error, self.chance(before, cost), share, worth, most, like)
 

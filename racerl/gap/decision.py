@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from racerl.gap.candidates import converged
-from racerl.gap.comparison import CLEAR, CandidateScore, Judge, excess
+from racerl.gap.comparison import CLEAR, CandidateScore, Judge, Standing, excess
 from racerl.gap.cross_validation import held_out
 from racerl.gap.fit_data import FitData
 from racerl.gap.fitted_model import FittedModel
@@ -19,13 +19,13 @@ CARRIED = 3  # times that the fit of what was chosen is carried on, unless it is
 
 
 @dataclass
-class Decision:
-    """What naming came to: effects in the order found, every round's candidates, best first."""
+class Decision(Standing):
+    """What naming came to: effects in the order found, every round's candidates, best first.
+
+    `noise` is by the first fit or this one.
+    """
 
     kept: dict[str, list[CandidateScore]]  # every effect, and its rivals, beside the others
-    found: FittedModel
-    cost: dict[str, Array]  # of held-out windows
-    noise: dict[str, float]  # cost that the sensors' noise alone would leave, by the first fit or this one
     score: Score  # of the refitted vehicle without effects
     rounds: list[list[CandidateScore]] = field(default_factory=list)
     excess: list[float] = field(default_factory=list)  # of the cost over the noise, before each round and at the end

@@ -36,7 +36,7 @@ def _judged_again(judge: Judge, decision: Decision, name: str) -> Decision:
     less = carried(investigation, without(investigation, decision.found, name))
     others = {other: rows for other, rows in decision.kept.items() if other != name}
     lacking = changed(investigation, decision, others, less)
-    own = judge.score(name, decision.found, lacking.cost, lacking.noise)
+    own = judge.score(name, decision.found, lacking)
     if not own.needed:
         return lacking
     near = [row for row in decision.kept[name][1:] if close(row) and row.name not in others]
@@ -54,7 +54,7 @@ def _instead(judge: Judge, lacking: Decision, rival: CandidateScore) -> Candidat
     investigation, effect = judge.investigation, rival.found.vehicle.effects[rival.name]
     vehicle = joined(investigation, lacking.found.vehicle, rival.name, effect)
     found = add(investigation, lacking.found, rival.name, vehicle)
-    return judge.score(rival.name, carried(investigation, found), lacking.cost, lacking.noise)
+    return judge.score(rival.name, carried(investigation, found), lacking)
 
 
 def settled(investigation: Investigation, decision: Decision) -> Decision:

@@ -12,7 +12,7 @@ from racerl.gap.evidence import Evidence
 from racerl.gap.fit_data import FitData, kernels_of
 from racerl.gap.fitted_model import FittedModel
 from racerl.gap.folds import deal
-from racerl.gap.noise import expected, squares
+from racerl.gap.noise import expected, noise_cost
 from racerl.gap.nominal import Nominal, drawn, fit_nominal, timed
 from racerl.gap.workers import Workers
 from racerl.vehicle.effects import Effect
@@ -86,7 +86,7 @@ def investigate(
     )
     data, nominal = fit_nominal(timed(data), drawn(vehicle, unknowns))
     noise_errors = expected(data, nominal.model, seed)
-    floor = squares(data, noise_errors)
+    floor = noise_cost(data, nominal.model, seed)
     given = {field.name: getattr(data, field.name) for field in fields(data)}
     return Investigation(
         **given,

@@ -31,7 +31,7 @@ def name_effects(investigation: Investigation, on_progress: OnProgress = silent)
     score = summed(ahead.values())
     judge = Judge(investigation, cost, score)
     first = [excess(investigation, cost, investigation.floor)]
-    decision = Decision({}, base, cost, dict(investigation.floor), score, excess=first)
+    decision = Decision(base, cost, dict(investigation.floor), {}, score, excess=first)
     for number in range(ROUNDS):
         if number:
             ahead = scores(investigation, decision.found)
@@ -59,7 +59,7 @@ def _round(
         return screen(investigation, current, name, fitted)
 
     def added(one: Screened) -> CandidateScore:
-        return judge.score(one.name, add(investigation, current, one.name, one.vehicle), decision.cost, decision.noise)
+        return judge.score(one.name, add(investigation, current, one.name, one.vehicle), decision)
 
     asked = shortlist(ahead, lost(investigation, current))
     tried = each(screened, asked, within(on_progress, 0.0, SCREENED))
@@ -72,7 +72,7 @@ def _round(
     def carried_on(row: CandidateScore) -> CandidateScore:
         if row.gain <= max(CLOSE * most, row.error):
             return row
-        return judge.score(row.name, converged(investigation, row.found), decision.cost, decision.noise)
+        return judge.score(row.name, converged(investigation, row.found), decision)
 
     ended = within(on_progress, FITTED, 1.0)
     return judge.ranked(each(carried_on, rows, lambda row, share: ended(row.name, share)), decision.cost)

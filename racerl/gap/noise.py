@@ -1,21 +1,24 @@
 """What the sensors' noise alone would leave of errors, if a fitted vehicle were right: the floor of every gap."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from racerl.gap.checkpoint import Parts
 from racerl.gap.fit_data import FitData
 from racerl.gap.fitted_model import FittedModel
 from racerl.gap.stage_fit import StageFit
 from racerl.gap.stage_problem import StageProblem
 
 Array = NDArray[np.float64]
+Seed = int | Sequence[int]
+DRAWS = 8  # of the noise, whose mean cost is the floor: one alone is a percent or two off
 CALM = 10.0  # times the noise's cost in a usual window, beyond which a window's tells of the vehicle
 
 
-def expected_errors(stage: StageProblem, theta: Mapping[str, float], initial: Array, noise: Array, seed: int) -> Array:
+def expected_errors(stage: StageProblem, theta: Mapping[str, float], initial: Array, noise: Array, seed: Seed) -> Array:
     """Return the errors (T + 1, C, W) that a right vehicle would leave: one draw of the sensors' `noise` (C,).
 
     Noise of measured inputs counts: it drives the car that is simulated, not the one that was measured.
@@ -33,7 +36,7 @@ def expected_errors(stage: StageProblem, theta: Mapping[str, float], initial: Ar
     return work.errors({})
 
 
-def expected(data: FitData, found: FittedModel, seed: int) -> dict[str, Array]:
+def expected(data: FitData, found: FittedModel, seed: Seed) -> dict[str, Array]:
     """Return the errors (T + 1, C, W) per stage that sensors' noise alone would leave in a right vehicle."""
     return {
         (name := stage.evidence.stage.name): expected_errors(stage, found.theta, initial, data.noise[name], seed)
@@ -42,11 +45,16 @@ def expected(data: FitData, found: FittedModel, seed: int) -> dict[str, Array]:
 
 
 def noise_cost(data: FitData, found: FittedModel, seed: int) -> dict[str, float]:
-    """Return the cost per stage that sensors' noise alone would leave if a fitted vehicle were right."""
-    key = data.checkpoint.key("noise", found.key, data.noise, seed)
-    parts = data.checkpoint.recall(
-        key, lambda: {name: np.array([part]) for name, part in squares(data, expected(data, found, seed)).items()}
-    )
+    """Return the cost per stage that noise alone would leave if a fitted vehicle were right: a mean of draws."""
+
+    def drawn(number: int) -> dict[str, float]:
+        return squares(data, expected(data, found, [seed, number]))
+
+    def mean() -> Parts:
+        draws = data.workers.each(drawn, range(DRAWS))
+        return {name: np.mean([[draw[name]] for draw in draws], axis=0) for name in found.cost}
+
+    parts = data.checkpoint.recall(data.checkpoint.key("noise", found.key, data.noise, seed, DRAWS), mean)
     return {name: float(parts[name][0]) for name in found.cost}
 
 

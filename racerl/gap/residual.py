@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from racerl.gap.candidates import add, again, converged
-from racerl.gap.comparison import WORTH, CandidateScore, Judge, excess
+from racerl.gap.comparison import WORTH, CandidateScore, Judge, Standing, excess
 from racerl.gap.cross_validation import held_out
 from racerl.gap.fitted_model import FittedModel, with_effect
 from racerl.gap.investigation import Investigation
@@ -49,15 +49,16 @@ def learn(investigation: Investigation, on_progress: OnProgress = silent) -> tup
     knowing = investigation.knowing({TERMS: [terms]})
     judge = Judge(knowing, held_out(knowing, base))
     knowing, found = sparse(knowing, _with(knowing, base, TERMS, terms))
-    scored = replace(judge, investigation=knowing).score(TERMS, found, judge.first, knowing.floor)
+    scored = replace(judge, investigation=knowing).score(
+        TERMS, found, Standing(base, dict(judge.first), dict(knowing.floor))
+    )
     steps = [_step(judge, scored, found, scored.clear)]
     if scored.clear:
         on_progress("learning a residual: a network", 0.5)
         knowing = knowing.knowing({TERMS: [terms], NETWORK: [network]})
         more = _with(knowing, found, NETWORK, network)
-        scored = replace(judge, investigation=knowing).score(
-            NETWORK, more, {**judge.first, **scored.cost}, knowing.floor
-        )
+        standing = Standing(found, {**judge.first, **scored.cost}, dict(knowing.floor))
+        scored = replace(judge, investigation=knowing).score(NETWORK, more, standing)
         kept = scored.clear and scored.worth > WORTH
         steps.append(_step(judge, scored, more, kept))
         found = more if kept else found

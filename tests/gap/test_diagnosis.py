@@ -13,7 +13,7 @@ from racerl.documents import read_json
 from racerl.errors import ConfigError, LogError, RunError
 from racerl.estimation.unknowns import Unknown
 from racerl.gap import elimination
-from racerl.gap.comparison import CandidateScore, Judge, equals
+from racerl.gap.comparison import CandidateScore, Judge, Standing, equals
 from racerl.gap.decision import Decision, changed, passes_less_noise
 from racerl.gap.diagnose import gap, next_manoeuvre
 from racerl.gap.elimination import _idle, eliminated
@@ -299,8 +299,8 @@ def test_effects_are_judged_again_beside_those_found_after_them(monkeypatch, sha
         vehicle = SimpleNamespace(effects=dict.fromkeys(names))
         return SimpleNamespace(names=frozenset(names), vehicle=vehicle, cost=left)
 
-    def score(name, found, before, noise):
-        part = 1.0 - found.cost["chassis"] / before["chassis"]
+    def score(name, found, standing):
+        part = 1.0 - found.cost["chassis"] / standing.cost["chassis"]
         row = {"explained": part, "gain": part, "needed": part > 0.04, "clear": True, "size": 1, "behind": 0.0}
         return SimpleNamespace(name=name, found=found, cost=found.cost, **row)
 
@@ -320,12 +320,12 @@ def test_effects_are_judged_again_beside_those_found_after_them(monkeypatch, sha
     judge = SimpleNamespace(investigation=investigation, score=score, ranked=ranked)
     v, a, both = (SimpleNamespace(cost={"chassis": left}, vehicle=fit("vl").vehicle) for left in (0.22, 0.23, 0.03))
     a.vehicle = SimpleNamespace(effects={"a": None})
-    before = {"chassis": 1.0}
+    before = Standing(None, {"chassis": 1.0}, {})
     first = {
-        "v": ranked([score("v", v, before, {}), score("a", a, before, {})], {}),
-        "l": [score("l", both, before, {})],
+        "v": ranked([score("v", v, before), score("a", a, before)], {}),
+        "l": [score("l", both, before)],
     }
-    decision = eliminated(judge, Decision(first, fit("vl"), fit("vl").cost, {"chassis": 0.0}, None))
+    decision = eliminated(judge, Decision(fit("vl"), fit("vl").cost, {"chassis": 0.0}, first, None))
     assert decision.chosen == list(chosen) and decision.found.names == set(chosen)
     assert decision.cost == fit(chosen).cost
     assert [other.name for other in equals(decision.kept[chosen[0]])] == rivals
@@ -337,7 +337,7 @@ def test_the_least_cost_of_noise_is_the_noise(monkeypatch):
     monkeypatch.setattr("racerl.gap.decision.noise_cost", lambda investigation, found, seed: found)
     investigation = SimpleNamespace(floor={"drive": 5.0, "chassis": 9.0}, seed=0)
     for passed, least in ((7.0, 7.0), (11.0, 9.0)):
-        decision = changed(investigation, Decision({}, None, {}, {}, None), {}, {"chassis": passed})
+        decision = changed(investigation, Decision(None, {}, {}, {}, None), {}, {"chassis": passed})
         assert decision.noise == {"drive": 5.0, "chassis": least}
 
 
@@ -452,6 +452,8 @@ def test_a_small_effect_beside_a_large_one_must_explain_what_is_left_and_not_loo
     assert dataclasses.replace(small, like=0.9, worth=0.05).needed
     assert not dataclasses.replace(small, explained=0.5).needed
     assert not dataclasses.replace(small, error=40.0).needed
+    # a fit at the noise lacks nothing, whatever its folds cost, unless the gain is beyond doubt
+    assert not dataclasses.replace(small, worth=0.05, before=-0.01, error=20.0).needed
 
 
 def test_effects_that_are_one_in_a_log_are_rivals(monkeypatch):
