@@ -25,6 +25,7 @@ STEEP = 2  # samples more for their slopes
 QUIET, PART = 2.0, 50  # most mean square over so many samples, in that of the noise, that smoothing may take away
 LOCAL, ORDER = 11, 4  # samples and order of the local polynomials that tell noise from motion
 TOP, WHITE = 6, 0.9  # order of the differences that show noise near the Nyquist frequency; its least share if white
+STILL = 1e-6  # rad or rad/s, deviation of an actuator from a command that never changes
 COMMANDS = ("delta_ref", "omega_ref")
 INSTEAD = {"delta": "delta_ref", "omega": "omega_ref"}  # where an actuator that was not measured may be
 FILTERS = [(window, order) for order in (2, 3) for window in range(5, 42, 2)]  # that velocities may have been made by
@@ -172,9 +173,16 @@ class Evidence:
     def trust(self, name: str) -> float:
         """Return how precisely a window's initial state is known from its measurement, in 1/σ².
 
-        Zero for outputs, whose first sample is among the residuals, and for what was not measured.
+        Zero for outputs, whose first sample is among the residuals, and for what was not measured; but an actuator
+        whose command never changes is where it was commanded.
         """
+        if name not in self.columns and self._never_moves(INSTEAD.get(name)):
+            return STILL**-2
         return 0.0 if name in self.stage.outputs or name not in self.columns else float(self.noise_of([name])[0]) ** -2
+
+    def _never_moves(self, command: str | None) -> bool:
+        """Return whether a command was logged and is the same throughout each run."""
+        return command in self.columns and bool((self.columns[command] == self.columns[command][self.first]).all())
 
     def noise(self) -> Array:
         """Return the standard deviation of each output's noise, (C,): what local polynomials do not follow."""

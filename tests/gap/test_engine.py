@@ -111,6 +111,16 @@ def test_velocities_that_were_made_from_poses_are_told_from_measured_ones(clean)
     assert Evidence.of([measured], CHASSIS, 40, 0.5).observed == CHASSIS.outputs
 
 
+def test_an_unmeasured_actuator_is_where_a_command_that_never_changes_puts_it(clean):
+    """Else a free angle in every window, and a slow actuator, pass for what the car does on a circle."""
+    unmeasured = clean.table.drop(columns=["delta"])
+    for command, known in ((0.15, True), (unmeasured["delta_ref"], False)):
+        log = dataclasses.replace(clean, table=unmeasured.assign(delta_ref=command))
+        evidence = Evidence.of([log], dataclasses.replace(CHASSIS, inputs=("delta_ref", "omega")), 40, 0.5)
+        assert (evidence.trust("delta") > 1e9) == known
+        assert evidence.trust("v_y") == 0.0
+
+
 def test_a_stage_that_lacks_channels_is_left_out(clean):
     poor = dataclasses.replace(clean, table=clean.table.drop(columns=["delta_ref", "omega"]))
     assert [Evidence.of([poor], stage, 40, 0.5) is None for stage in (STEERING, DRIVE, CHASSIS)] == [True, True, True]
