@@ -418,6 +418,7 @@ def _identify(words: Sequence[str], settings: "Settings", out: Path) -> None:
     _print_identification(console, facts)
     page = draw_identification(out)
     lines = [f"warning: {warning}" for warning in facts["warnings"]]
+    lines += facts["open"]["says"] if facts["fitted"] else []
     written = f"vehicle in {out / MODEL}, report in {page}" if facts["fitted"] else f"report in {page}"
     _print_lines(console, *lines, written, f"next: {_following(facts['verdict']['next'], words, out / MODEL)}")
 

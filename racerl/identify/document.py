@@ -49,5 +49,7 @@ def _provenance(facts: Mapping[str, Any], command: str) -> list[str]:
 def _comment(parameter: Mapping[str, Any] | None) -> str:
     if parameter is None:
         return ""
+    if not parameter.get("told", True):
+        return f"  # not told by the log, as configured {parameter['unit']}".rstrip()
     low, high = parameter["ci95"]
     return f"  # {low:.4g} … {high:.4g}{'' if parameter['identified'] else ' ~'} {parameter['unit']}".rstrip()

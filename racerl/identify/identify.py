@@ -27,6 +27,7 @@ from racerl.identify.folds import deal
 from racerl.identify.score import ErrorSum
 from racerl.identify.scored import Scored
 from racerl.identify.task import Solution, Task, make_task, plan, solve
+from racerl.identify.told import open_questions
 from racerl.identify.tyres import slips_covered, tyre_curves
 from racerl.identify.uncertainty import Uncertainty, describe
 from racerl.identify.verdict import judge
@@ -128,9 +129,13 @@ def _result(task: Task, solution: Solution, uncertainty: Uncertainty) -> dict[st
     """Return what the fit says of the parameters."""
     fit, at = solution.fit, solution.fit.linearised
     parameters, pairs = describe(task.unknowns, fit.point.theta, uncertainty)
+    left_open = open_questions(task.unknowns, *solution.posterior)
+    for name in (name for names in left_open["untold"].values() for name in names):
+        parameters[name]["told"] = False
     return {
         "parameters": parameters,
         "not_separable": pairs,
+        "open": left_open,
         "at_bound": [name for name, facts in parameters.items() if facts["at_bound"]],
         "far_from_prior": [name for name, facts in parameters.items() if abs(facts["from_prior"]) > FAR],
         "actuators_alone": [name for part in solution.actuators for name in part.values],

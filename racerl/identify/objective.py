@@ -7,6 +7,7 @@ strong as it should be beside N independent residuals (a maximum a posteriori es
 their autocorrelation.
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -49,11 +50,14 @@ class Objective:
         weight: Array,
         penalty: float = 0.0,
         threads: int = 1,
+        still: Collection[str] = (),
     ) -> None:
+        """`still`: states whose initial values are known; those of all others are free."""
         share = weight / (scale * np.sqrt((weight**2).sum() * windows.count * len(windows.measured)))
         self.windows = replace(windows, weight=np.repeat(share[:, None], windows.count, axis=1))
         self.rollout, self.unknowns, self.penalty, self.threads = rollout, unknowns, penalty, threads
         self.active = [rollout.vehicle.states.index(name) for name in rollout.active]
+        self.free = np.array([name not in still for name in rollout.active])
 
     def start(self, theta: Array) -> Point:
         """Return the point with these parameters and the measured initial states."""
@@ -79,12 +83,13 @@ class Objective:
         P = len(point.theta)
         if not np.isfinite(data) or not np.isfinite(equations.H).all():
             data = np.inf
+        free = self.free  # what is known takes no step and explains nothing
         return Linearised(
             equations.H[:, :P, :P],
-            equations.H[:, :P, P:],
-            equations.H[:, P:, P:],
+            equations.H[:, :P, P:] * free,
+            equations.H[:, P:, P:] * np.outer(free, free) + np.diag(1.0 - free),
             equations.g[:, :P],
-            equations.g[:, P:],
+            equations.g[:, P:] * free,
             data + self.prior(point.theta),
             data,
             equations.squares,

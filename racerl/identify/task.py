@@ -1,9 +1,12 @@
 """What a fit is made of, and how it is carried out: several starts, then the prior's strength set by what is left.
 
+At last what the log does not tell is put back to where it was configured, and the others are fitted once more.
+
 An actuator that was logged with its command answers to nothing else. It is fitted first, from its command to its
 measured state, and held when the car is fitted, so that what the car's model lacks cannot move it.
 """
 
+import copy
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -19,6 +22,7 @@ from racerl.estimation.unknowns import Unknowns
 from racerl.identify import methods as methods_package
 from racerl.identify.methods import Fit, Method
 from racerl.identify.objective import Objective
+from racerl.identify.told import NOTHING, posterior
 from racerl.identify.uncertainty import Uncertainty, estimate
 from racerl.identify.windows import Cut, Wiring, channel_scale, cut
 from racerl.identify.work import Work
@@ -46,20 +50,27 @@ class Task:
     overlap: float
     method: Method
     threads: int
+    still: tuple[str, ...] = ()  # states whose initial values are known
     actuators: tuple["Task", ...] = ()
 
     def objective(self, index: NDArray[np.int64], independent: float, data: float) -> Objective:
         """Return F over some windows, with the prior as strong as `independent` residuals of mean square `data` ask."""
         windows = self.cut.windows.take(index)
         penalty = data / independent
-        return Objective(self.rollout, self.unknowns, windows, self.scale, self.weight, penalty, self.threads)
+        return Objective(
+            self.rollout, self.unknowns, windows, self.scale, self.weight, penalty, self.threads, self.still
+        )
 
 
 @dataclass(frozen=True)
 class Solution:
-    """A fit with its objective, how many independent residuals it was made from, and those of the actuators."""
+    """A fit with its objective, how many independent residuals it was made from, and those of the actuators.
+
+    `free` is the fit before what the log does not tell was held: it says how sure every number is.
+    """
 
     fit: Fit
+    free: Fit
     objective: Objective
     independent: float
     actuators: tuple["Solution", ...] = ()
@@ -80,7 +91,19 @@ class Solution:
             part.uncertainty(alone, seed + number)
             for number, (part, alone) in enumerate(zip(self.actuators, task.actuators, strict=True), 1)
         ]
-        return estimate(self.fit, self.objective, task.cut, self.independent, seed, earlier)
+        found = estimate(self.free, self.objective, task.cut, self.independent, seed, earlier)
+        return replace(found, draws=found.draws + (self.fit.point.theta - self.free.point.theta))
+
+    @property
+    def posterior(self) -> tuple[Array, Array]:
+        """Return the share of each prior's deviation that is left (P,), and correlations (P, P); actuators' are own."""
+        share, correlation = posterior(self.free, self.objective)
+        names = self.objective.unknowns.names
+        for part in self.actuators:
+            for name, own in zip(part.objective.unknowns.names, part.posterior[0].tolist(), strict=True):
+                i = names.index(name)
+                share[i], correlation[i], correlation[:, i] = own, 0.0, 0.0
+        return share, correlation
 
 
 def make_task(
@@ -89,15 +112,17 @@ def make_task(
     """Cut the logs and choose scale, weights and method; raise LogError or ConfigError where that fails."""
     length = settings["window"]
     stride = max(sum(len(log.table) for log in logs) // MOST_WINDOWS, 1, length // 5)
+    parts = cut(logs, wiring, rollout.vehicle, length, stride, settings["slowest"])
     whole = Task(
         rollout,
         unknowns,
-        cut(logs, wiring, rollout.vehicle, length, stride, settings["slowest"]),
+        parts,
         channel_scale(logs, wiring.observed),
         _weights(settings["weights"], wiring),
         max(1.0, (length + 1) / stride),
         registry.create(methods_package, settings["method"]),
         settings["threads"],
+        parts.still(wiring),
     )
     return replace(whole, actuators=tuple(_actuators(whole)))
 
@@ -138,7 +163,7 @@ def _weights(given: Mapping[str, Any], wiring: Wiring) -> Array:
 
 def plan(windows: int, starts: int) -> list[tuple[int, int]]:
     """Return (place, windows) of the fits that `solve` carries out, as `Work` counts them."""
-    return [(0, windows)] * starts + [(number, windows) for number in range(1, ROUNDS + 1)]
+    return [(0, windows)] * starts + [(number, windows) for number in range(1, ROUNDS + 2)]
 
 
 def solve(task: Task, index: NDArray[np.int64], seed: int, starts: int, work: Work) -> Solution:
@@ -171,4 +196,18 @@ def _solve(task: Task, index: NDArray[np.int64], seed: int, count: int, work: Wo
         objective = task.objective(index, independent, best.linearised.data)
         best = task.method.fit(objective, best.point, work.step)
         work.finish()
-    return Solution(best, objective, independent)
+    return Solution(_held(task, objective, best, work), best, objective, independent)
+
+
+def _held(task: Task, objective: Objective, fit: Fit, work: Work) -> Fit:
+    """Return the fit with what the log does not tell as configured, the others fitted once more."""
+    unknowns = objective.unknowns
+    untold = (posterior(fit, objective)[0] > NOTHING) & (unknowns.low < unknowns.high)
+    if untold.any():
+        theta = np.where(untold, unknowns.start, fit.point.theta)
+        names = [name for name, idle in zip(unknowns.names, untold.tolist(), strict=True) if idle]
+        held = copy.copy(objective)
+        held.unknowns = unknowns.settled({name: float(theta[unknowns.names.index(name)]) for name in names})
+        fit = task.method.fit(held, replace(fit.point, theta=theta), work.step)
+    work.finish()
+    return fit

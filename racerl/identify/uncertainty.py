@@ -120,7 +120,7 @@ def _normal(covariance: Array, generator: np.random.Generator) -> Array:
 def _inverse(matrix: Array) -> Array:
     """Return the inverse of a symmetric positive matrix of any scaling; what it does not determine comes out large."""
     diagonal = np.diag(matrix)
-    scale = 1.0 / np.sqrt(np.maximum(diagonal, max(1e-20 * diagonal.max(initial=0.0), 1e-300)))
+    scale = 1.0 / np.sqrt(np.maximum(diagonal, max(1e-20 * diagonal.max(initial=0.0), 1e-30)))
     inverse = np.linalg.inv(matrix * np.outer(scale, scale) + 1e-13 * np.eye(len(matrix)))
     rescaled: Array = inverse * np.outer(scale, scale)
     return rescaled

@@ -6,6 +6,7 @@ from typing import Any
 
 GROWN = 1.02  # factor of an error, beyond which it has grown
 IDENTIFY, GAP, TRAIN = "racerl identify LOG", "racerl gap LOG", "racerl train vehicle=MODEL"
+PLAN = "racerl gap plan LOG"  # what to drive
 
 
 def changes(facts: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
@@ -39,10 +40,11 @@ def judge(facts: Mapping[str, Any]) -> dict[str, Any]:
     short = facts.get("held_out", "").removeprefix("nothing")
     # what is said first matters most
     reasons = (
-        (fitted and not facts["rmse"], f"no run was held out{short}", "racerl gap plan LOG" if short else IDENTIFY),
+        (fitted and not facts["rmse"], f"no run was held out{short}", PLAN if short else IDENTIFY),
         (diverged, f"rollouts of {', '.join(diverged)} diverge", GAP if fitted else IDENTIFY),
         (worse, f"errors in runs held out grew: {', '.join(worse)}", GAP),
         (fitted and not facts["method"]["converged"], "the fit has not converged", f"{IDENTIFY} method.iterations=300"),
+        (fitted and not facts["open"]["told"], "the log tells no number of the car", PLAN),
         (poor, f"holding the first value errs less: {', '.join(poor)}", GAP if fitted else IDENTIFY),
     )
     for applies, because, command in reasons:

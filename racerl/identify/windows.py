@@ -1,7 +1,7 @@
 """From logs to windows: stretches of equal length that never cross a run, and what drives the car in them.
 
-An actuator is driven by its command where one was logged, else its measured state is the input. Either is held over
-the sample that follows it, which makes a measured input half a sample late: errors are comparable to published ones so.
+An actuator is driven by its command where one was logged, held over the sample that follows it; else its measured
+state is the input, by its mean over each sample.
 """
 
 from collections.abc import Iterator, Sequence
@@ -44,6 +44,16 @@ class Cut:
     def take(self, index: NDArray[np.int64]) -> "Cut":
         """Return some of the windows."""
         return Cut(self.windows.take(index), self.run[index], self.start[index])
+
+    def still(self, wiring: Wiring) -> tuple[str, ...]:
+        """Return the actuators whose commands never change in a run: they are where they were commanded.
+
+        Left free, such an angle lets a slow actuator pass for what the car does on a circle.
+        """
+        first = np.unique(self.run, return_index=True)[1][np.unique(self.run, return_inverse=True)[1]]
+        inputs = self.windows.inputs
+        channels = ((name, i) for i, (name, _) in enumerate(ACTUATORS) if (wiring.steering, wiring.drive)[i] != name)
+        return tuple(name for name, i in channels if (inputs[:, i] == inputs[0, i, first]).all())
 
     def observing(self, channels: slice) -> "Cut":
         """Return the windows with some of the observed channels alone."""
@@ -107,7 +117,11 @@ def cut(logs: Sequence[Log], wiring: Wiring, vehicle: Vehicle, length: int, stri
         dt,
     )
     settle(vehicle, windows)
-    return Cut(windows, np.concatenate(run), np.concatenate(start))
+    found = Cut(windows, np.concatenate(run), np.concatenate(start))
+    for name in found.still(wiring):
+        channel = [state for state, _ in ACTUATORS].index(name)
+        windows.initial[STATE.index(name)] = windows.inputs[0, channel]
+    return found
 
 
 def _cut_runs(
@@ -127,7 +141,7 @@ def _cut_runs(
                 continue
             index = starts + np.arange(length + 1)[:, None]
             column = {name: rows[name].to_numpy()[index] for name in ("t", *log.channels)}
-            inputs = np.stack([column[name][:-1] for name in (wiring.steering, wiring.drive)], axis=1)
+            inputs = np.stack([_input(name, column[name]) for name in (wiring.steering, wiring.drive)], axis=1)
             measured = np.stack([column[name] for name in wiring.observed], axis=1)
             yield (
                 _initial(vehicle, column, wiring, len(starts)),
@@ -136,6 +150,11 @@ def _cut_runs(
                 np.full(len(starts), number),
                 starts,
             )
+
+
+def _input(name: str, column: Array) -> Array:
+    """Return what drives the car over each interval (T, W): a command as it was sent, the mean of a measured state."""
+    return 0.5 * (column[:-1] + column[1:]) if name in STATE else column[:-1]
 
 
 def _initial(vehicle: Vehicle, column: dict[str, Array], wiring: Wiring, count: int) -> Array:

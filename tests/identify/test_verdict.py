@@ -7,7 +7,7 @@ import pytest
 from racerl.identify.verdict import judge
 
 
-def facts_of(after, before=1.0, still=9.0, fitted=True, converged=True, held_out="nothing"):
+def facts_of(after, before=1.0, still=9.0, fitted=True, converged=True, held_out="nothing", told=9):
     """What a verdict is made of: errors of one channel at one horizon."""
 
     def errors(value):
@@ -15,6 +15,7 @@ def facts_of(after, before=1.0, still=9.0, fitted=True, converged=True, held_out
 
     facts = {"fitted": fitted, "horizon": 85, "rmse": errors(after), "rmse_hold_last_state": errors(still)}
     fit = {"rmse_unfitted": errors(before), "held_out": held_out, "method": {"converged": converged}}
+    fit["open"] = {"told": told}
     return facts | (fit if fitted else {})
 
 
@@ -30,6 +31,7 @@ def facts_of(after, before=1.0, still=9.0, fitted=True, converged=True, held_out
             "racerl gap plan LOG",
         ),
         ({"after": 0.9, "converged": False}, "not converged", "racerl identify LOG method.iterations=300"),
+        ({"after": 0.9, "told": 0}, "tells no number of the car", "racerl gap plan LOG"),
         ({"after": 0.9, "still": 0.8}, "holding the first value errs less: v_x", "racerl gap LOG"),
         ({"after": 1.0, "still": 0.8, "fitted": False}, "errs less: v_x", "racerl identify LOG"),
     ],
