@@ -612,11 +612,6 @@ def _print_identification(console: Any, facts: dict[str, Any]) -> None:
         interval = f"{p['ci95'][0]:.4g} … {p['ci95'][1]:.4g}"
         table.add_row(name, f"{p['value']:.4g}", interval, p["unit"], f"{p['start']:.4g}", spread(p))
     console.print(table)
-    pairs = [" and ".join(pair["parameters"]) for pair in facts["not_separable"]]
-    if pairs:
-        more = f"; and {len(pairs) - PAIRS} more pairs" if len(pairs) > PAIRS else ""
-        shown = f"{'; '.join(pairs[:PAIRS])}{more}"
-        console.print(f"not separable (correlation above 0.95): {shown}", highlight=False, markup=False)
 
 
 def _print_metrics(console: Any, metrics: dict[str, Any]) -> None:
