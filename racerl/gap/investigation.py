@@ -12,7 +12,7 @@ from racerl.gap.evidence import Evidence
 from racerl.gap.fit_data import FitData, kernels_of
 from racerl.gap.fitted_model import FittedModel
 from racerl.gap.folds import deal
-from racerl.gap.noise import expected, noise_cost
+from racerl.gap.noise import expected, noise_draws
 from racerl.gap.nominal import Nominal, drawn, fit_nominal, timed
 from racerl.gap.workers import Workers
 from racerl.vehicle.effects import Effect
@@ -26,12 +26,14 @@ class Investigation(FitData):
     """What a diagnosis goes by.
 
     `noise_errors` (T + 1, C, W) and their cost, `floor`, per stage, are what noise alone would leave of the nominal
-    fit; `folds` the windows that each fold holds out; `seed` that of noise and resamples, on which no fit depends.
+    fit, `chance` the share by which that differs from one drive to another; `folds` the windows that each fold holds
+    out; `seed` that of noise and resamples, on which no fit depends.
     """
 
     nominal: Nominal
     noise_errors: Mapping[str, Array]
     floor: Mapping[str, float]
+    chance: Mapping[str, float]
     folds: Sequence[Mapping[str, NDArray[np.bool_]]]
     seed: int
 
@@ -86,13 +88,14 @@ def investigate(
     )
     data, nominal = fit_nominal(timed(data), drawn(vehicle, unknowns))
     noise_errors = expected(data, nominal.model, seed)
-    floor = noise_cost(data, nominal.model, seed)
+    draws = noise_draws(data, nominal.model, seed)
     given = {field.name: getattr(data, field.name) for field in fields(data)}
     return Investigation(
         **given,
         nominal=nominal,
         noise_errors=noise_errors,
-        floor=floor,
+        floor={name: float(part.mean()) for name, part in draws.items()},
+        chance={name: float(part.std() / part.mean()) for name, part in draws.items()},
         folds=deal(data.evidence, folds),
         seed=seed,
     )

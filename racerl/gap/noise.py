@@ -46,16 +46,21 @@ def expected(data: FitData, found: FittedModel, seed: Seed) -> dict[str, Array]:
 
 def noise_cost(data: FitData, found: FittedModel, seed: int) -> dict[str, float]:
     """Return the cost per stage that noise alone would leave if a fitted vehicle were right: a mean of draws."""
+    return {name: float(draws.mean()) for name, draws in noise_draws(data, found, seed).items()}
+
+
+def noise_draws(data: FitData, found: FittedModel, seed: int) -> dict[str, Array]:
+    """Return that cost in every draw of the noise, (DRAWS,) per stage."""
 
     def drawn(number: int) -> dict[str, float]:
         return squares(data, expected(data, found, [seed, number]))
 
-    def mean() -> Parts:
+    def costs() -> Parts:
         draws = data.workers.each(drawn, range(DRAWS))
-        return {name: np.mean([[draw[name]] for draw in draws], axis=0) for name in found.cost}
+        return {name: np.array([draw[name] for draw in draws]) for name in found.cost}
 
-    parts = data.checkpoint.recall(data.checkpoint.key("noise", found.key, data.noise, seed, DRAWS), mean)
-    return {name: float(parts[name][0]) for name in found.cost}
+    parts = data.checkpoint.recall(data.checkpoint.key("noise", found.key, data.noise, seed, DRAWS), costs)
+    return {name: parts[name] for name in found.cost}
 
 
 def squares(data: FitData, errors: Mapping[str, Array]) -> dict[str, float]:

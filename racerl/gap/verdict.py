@@ -21,7 +21,7 @@ from racerl.gap.fitted_model import touched
 from racerl.gap.investigation import Investigation
 from racerl.gap.score import Score
 
-CHANCE = 5.0  # deviations of the noise's own cost, a χ², below which an excess may be chance
+CHANCE = 5.0  # deviations of the noise's own cost, below which an excess may be chance
 LEFT, LEFT_EXACT = 0.25, 0.1  # shares of the first excess that may stay behind a right name: of many forms, of one
 CREDIBLE = 0.6  # share of the excess that a name must explain
 COARSE = 30.0  # excess over the noise's cost, beyond which that of filtered sensors is no yardstick
@@ -98,7 +98,7 @@ def open_stage(
     worst = ("", 0.0, 0.0)
     for name, noise in decision.noise.items():
         left, first = after[name] / noise, before[name] / noise
-        real = max(REAL, CHANCE * np.sqrt(2.0 / counted(investigation, name)))
+        real = max(REAL, CHANCE * investigation.chance[name])
         if decision.chosen and _coarse(investigation, decision, name, after[name]):
             continue
         if left > real and left > _may_stay(investigation, decision, name) * first and left > worst[1]:
@@ -116,12 +116,6 @@ def _may_stay(investigation: Investigation, decision: Decision, stage: str) -> f
 def _coarse(investigation: Investigation, decision: Decision, stage: str, left: float) -> bool:
     """Return whether what is left in a stage cannot be measured in noise: real cars, sensors that were filtered."""
     return left > COARSE * decision.noise[stage] and investigation.evidence[stage].filtered
-
-
-def counted(investigation: Investigation, stage: str) -> int:
-    """Return how many numbers a stage compares."""
-    evidence = investigation.evidence[stage]
-    return evidence.numbers * len(evidence.start)
 
 
 def fitted(investigation: Investigation, decision: Decision) -> tuple[dict[str, float], dict[str, float]]:

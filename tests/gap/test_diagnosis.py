@@ -482,11 +482,18 @@ def test_effects_that_are_one_in_a_log_are_rivals(monkeypatch):
         assert verdict.kind == kind and verdict.rivals == (("steering_sensor_offset",) if kind == "ambiguous" else ())
 
 
+@pytest.mark.parametrize(("chance", "stage"), [(0.005, "chassis"), (0.02, "")])
+def test_an_excess_that_another_drive_might_have_by_chance_is_none(chance, stage):
+    investigation = SimpleNamespace(chance={"chassis": chance})
+    decision = SimpleNamespace(chosen=[], found=SimpleNamespace(vehicle=make_car()), noise={"chassis": 1e5})
+    assert open_stage(investigation, decision, {"chassis": 8e3}, {"chassis": 8e3})[0] == stage
+
+
 @pytest.mark.parametrize(("name", "most"), [("steering_gain", 0.1), ("drive_split", 0.25)])
 def test_an_effect_of_one_form_must_leave_less(name, most, monkeypatch):
-    evidence = SimpleNamespace(filtered=False, numbers=100, start=np.arange(1000))
+    evidence = SimpleNamespace(filtered=False)
     monkeypatch.setattr("racerl.gap.verdict.touched", lambda *_: ["chassis"])
-    investigation = SimpleNamespace(evidence={"chassis": evidence})
+    investigation = SimpleNamespace(evidence={"chassis": evidence}, chance={"chassis": 0.01})
     found = SimpleNamespace(vehicle=make_car(f"+vehicle/effect={name}"))
     decision = SimpleNamespace(chosen=[name], found=found, noise={"chassis": 1e5})
     for share, stage in ((most - 0.02, ""), (most + 0.02, "chassis")):
