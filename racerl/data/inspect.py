@@ -11,6 +11,7 @@ A lag is positive when the car answers later than the channel. Every warning is 
 """
 
 import itertools
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -27,6 +28,7 @@ Array = NDArray[np.float64]
 MOVING = 0.8  # m/s, above which kinematic relations are looked at
 ENOUGH = 300  # samples that a check needs
 MAX_LAG = 0.25  # s searched to either side
+LONG = 600.0  # s of a log that lags are looked for in
 # s ahead and behind, share explained: within the first two, tyres, actuators and noise explain a lag; with less than
 # the third, the log can't tell. Noise in ω − v_x makes ω look late by up to 0.04 s.
 LIMITS = {
@@ -201,7 +203,18 @@ def _has(log: Log, *names: str) -> bool:
 # ---- lags
 
 
+def _share(log: Log) -> Log:
+    """Return a long log's even share of minutes: lags are known from them as well."""
+    every = math.ceil(log.seconds / LONG)
+    if every < 2:
+        return log
+    minute = np.arange(len(log.table)) // round(0.1 * LONG / log.dt)
+    run = pd.factorize(log.table["run"])[0] * (minute[-1] + 1) + minute
+    return replace(log, table=log.table.assign(run=run)[minute % every == 0])
+
+
 def _lags(log: Log, wheelbase: float) -> dict[str, Lag]:
+    log = _share(log)
     lags: dict[str, Lag | None] = {}
     for name in ("delta", "delta_ref"):
         if _has(log, *VELOCITY, name):

@@ -30,6 +30,7 @@ from racerl.vehicle.rollout import Equations, Rollout
 from racerl.vehicle.vehicle import STATE, Vehicle
 
 Array = NDArray[np.float64]
+ENOUGH = 400  # windows for the starts
 ROUNDS = 2  # fits between which the prior's strength is set by the residuals that are left
 MOST_WINDOWS = 3000  # of a fit: long logs are cut with less overlap, very long ones with gaps
 START_SPREAD = 0.7  # of the priors' deviations, of the further starts
@@ -163,7 +164,7 @@ def _weights(given: Mapping[str, Any], wiring: Wiring) -> Array:
 
 def plan(windows: int, starts: int) -> list[tuple[int, int]]:
     """Return (place, windows) of the fits that `solve` carries out, as `Work` counts them."""
-    return [(0, windows)] * starts + [(number, windows) for number in range(1, ROUNDS + 2)]
+    return [(0, min(windows, ENOUGH))] * starts + [(number, windows) for number in range(1, ROUNDS + 2)]
 
 
 def solve(task: Task, index: NDArray[np.int64], seed: int, starts: int, work: Work) -> Solution:
@@ -179,22 +180,22 @@ def _solve(task: Task, index: NDArray[np.int64], seed: int, count: int, work: Wo
     starts = [task.unknowns.clip(task.unknowns.start)]
     starts += [task.unknowns.draw(generator, START_SPREAD) for _ in range(count - 1)]
 
-    # at first one independent residual for each window and channel is assumed
-    channels = int((task.weight > 0).sum())
-    objective = task.objective(index, len(index) * channels, 0.0)
-    first = objective.linearise(objective.start(starts[0]))
-    objective = task.objective(index, len(index) * channels, first.data)
-    best: Fit | None = None
+    # the starts see a share of the windows, with one independent residual for each window and channel
+    some = index[:: max(1, len(index) // ENOUGH)]
+    alone = len(some) * int((task.weight > 0).sum())
+    objective = task.objective(some, alone, 0.0)
+    objective = task.objective(some, alone, objective.linearise(objective.start(starts[0])).data)
+    fits = []
     for theta in starts:
-        fit = task.method.fit(objective, objective.start(theta), work.step)
+        fits.append(task.method.fit(objective, objective.start(theta), work.step))
         work.finish()
-        if best is None or fit.linearised.cost < best.linearised.cost:
-            best = fit
-    assert best is not None  # noqa: S101
-    for _ in range(ROUNDS):
-        independent = independent_residuals(objective.residuals(best.point)[:, task.weight > 0]) / task.overlap
+    best = min(fits, key=lambda fit: fit.linearised.cost)
+    for number in range(ROUNDS):
+        shown = objective.residuals(best.point)[:, task.weight > 0]
+        independent = independent_residuals(shown) / task.overlap * len(index) / shown.shape[2]
         objective = task.objective(index, independent, best.linearised.data)
-        best = task.method.fit(objective, best.point, work.step)
+        point = best.point if number else objective.start(best.point.theta)
+        best = task.method.fit(objective, point, work.step)
         work.finish()
     return Solution(_held(task, objective, best, work), best, objective, independent)
 

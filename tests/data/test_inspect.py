@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import racerl.data.inspect
 from racerl.data.inspect import compare, inspect, noise
 from racerl.data.load import load_logs
 from racerl.data.log import Log
@@ -172,3 +173,17 @@ def test_the_measured_bag_has_one_clock():
     lags, said = seen("put/tyre_a_rosbag2.zip", "ros2")
     assert abs(lags["current"]["seconds"]) <= 0.02 and said == []
     assert 0.05 <= lags["delta_ref to curvature"]["seconds"] <= 0.09
+
+
+def test_a_long_log_is_searched_for_lags_in_a_share_of_its_minutes(driven, monkeypatch):
+    late = Log.from_table("late", moved(driven, "delta", 6))
+    whole = inspect(late)["lags"]["delta"]
+    monkeypatch.setattr("racerl.data.inspect.LONG", 0.4 * late.seconds)
+    seen = []
+    lag = racerl.data.inspect.steering_lag
+    monkeypatch.setattr(
+        "racerl.data.inspect.steering_lag", lambda log, *others: seen.append(len(log.table)) or lag(log, *others)
+    )
+    part = inspect(late)["lags"]["delta"]
+    assert 0.2 * len(late.table) < seen[0] < 0.6 * len(late.table)
+    assert part["seconds"] == pytest.approx(whole["seconds"], abs=0.011)
