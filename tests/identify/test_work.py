@@ -10,7 +10,7 @@ def test_of_a_hard_log(lacking):
     assert lacking.shares == sorted(lacking.shares) and lacking.shares[-1] == 1.0
 
 
-@pytest.mark.parametrize("lengths", [[3, 1, 1, 3, 2, 1], [19, 55, 1, 9, 49, 1], [0, 80, 2, 1, 1, 90]])
+@pytest.mark.parametrize("lengths", [[3, 1, 1, 2, 3, 2, 1, 0], [19, 55, 1, 3, 9, 49, 1, 2], [0, 80, 2, 1, 1, 90, 7, 1]])
 def test_of_fits_of_any_length(lengths):
     shares = []
     work = Work([*plan(100, 1), *plan(75, 1)], lambda share, remark: shares.append(share))
