@@ -13,8 +13,12 @@ def stretches(run: Index, start: Index, rows: int) -> Index:
     return np.unique(run * FAR + start // rows, return_inverse=True)[1]
 
 
+def counts(blocks: int, draws: int, generator: np.random.Generator) -> Array:
+    """Return how often each of so many blocks is drawn, (draws, blocks), where as many are drawn with replacement."""
+    drawn = generator.integers(blocks, size=(draws, blocks))
+    return np.stack([np.bincount(row, minlength=blocks) for row in drawn]).astype(float)
+
+
 def resampled(sums: Array, draws: int, generator: np.random.Generator) -> Array:
     """Return the totals (draws, …) of as many blocks, drawn with replacement, as there are; `sums` (B, …)."""
-    drawn = generator.integers(len(sums), size=(draws, len(sums)))
-    totals: Array = sums[drawn].sum(axis=1)
-    return totals
+    return np.asarray(counts(len(sums), draws, generator) @ sums)

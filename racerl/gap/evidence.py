@@ -13,6 +13,7 @@ from scipy.special import comb
 from racerl.data.differentiate import velocities
 from racerl.data.inspect import pose_lag
 from racerl.data.log import POSE, VELOCITY, Log
+from racerl.estimation.windows import window_starts
 from racerl.gap.stage import Stage
 from racerl.vehicle.rollout import Windows
 from racerl.vehicle.vehicle import STATE
@@ -77,11 +78,10 @@ class Evidence:
             columns["yaw"] = np.concatenate([np.unwrap(rows["yaw"].to_numpy()) for rows in runs])
         start, run = [], []
         for number, (begin, rows) in enumerate(zip(np.cumsum(size) - size, size, strict=True)):
-            places = begin + np.arange(MARGIN, rows - length - 1, length)
-            if stage.name != "steering" and "v_x" in columns and len(places):
-                speed = columns["v_x"][places[:, None] + np.arange(length + 1)]
-                places = places[(speed > slowest).all(axis=1)]
-            start.append(places)
+            slow = stage.name != "steering" and "v_x" in columns
+            speed = columns["v_x"][begin : begin + rows] if slow else None
+            places = window_starts(rows, length, length, speed, slowest, before=MARGIN, after=1)
+            start.append(begin + places)
             run.append(np.full(len(places), number))
         observed = [name for name in stage.outputs if name in channels]
         if {*POSE, *VELOCITY} <= set(observed):

@@ -118,12 +118,12 @@ def _by_horizon(
     generator = np.random.default_rng(investigation.seed)
     rows = []
     for name, evidence in investigation.evidence.items():
-        block = np.unique(blocks(investigation.evidence[name])[tame[name]], return_inverse=True)[1]
-        drawn = generator.integers(block.max() + 1, size=(RESAMPLES, block.max() + 1))
+        block = np.unique(blocks(evidence)[tame[name]], return_inverse=True)[1]
         for c, channel in enumerate(evidence.observed):
             for h in (h for h in HORIZONS if h < len(before[name])):
-                old, new = (np.bincount(block, part[name][h, c] ** 2) for part in (before, after))
-                ratio = np.sqrt(new[drawn].sum(axis=1) / np.maximum(old[drawn].sum(axis=1), 1e-300))
+                sums = [np.bincount(block, part[name][h, c] ** 2).astype(float) for part in (before, after)]
+                old, new = resampled(np.stack(sums, axis=1), RESAMPLES, generator).T
+                ratio = np.sqrt(new / np.maximum(old, 1e-300))
                 rows.append(
                     {
                         "stage": name,

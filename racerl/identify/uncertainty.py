@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from racerl.estimation.blocks import counts, stretches
 from racerl.estimation.unknowns import Unknowns
 from racerl.identify.methods import Fit
 from racerl.identify.objective import Objective
@@ -104,8 +105,7 @@ def _settled(earlier: Sequence[Uncertainty], theta: Array) -> tuple[Array, Array
 def _resample(H: Array, g: Array, penalty: float, distance: Array, generator: np.random.Generator) -> Array:
     """Return the optimum's moves (K, P) over resampled blocks; λ is the variance that the priors' means are given."""
     steps = np.empty((RESAMPLES, len(distance)))
-    for i in range(RESAMPLES):
-        count = np.bincount(generator.integers(len(H), size=len(H)), minlength=len(H))
+    for i, count in enumerate(counts(len(H), RESAMPLES, generator)):
         A = np.tensordot(count, H, 1) + penalty * np.eye(len(distance))
         b = count @ g + penalty * (distance + generator.standard_normal(len(distance)))
         steps[i] = -_inverse(A) @ b
@@ -133,8 +133,7 @@ def _blocks(cut: Cut) -> NDArray[np.int64]:
         return run
     length = len(cut.windows.inputs) + 1
     longest = max(2 * length, int(cut.start.max()) // ENOUGH_RUNS + 1)
-    _, block = np.unique(run * 1_000_000_000 + cut.start // longest, return_inverse=True)
-    return block
+    return stretches(run, cut.start, longest)
 
 
 def _sum_by(values: Array, block: NDArray[np.int64]) -> Array:

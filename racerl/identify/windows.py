@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from racerl.data.log import VELOCITY, Log
 from racerl.errors import LogError
+from racerl.estimation.windows import window_starts
 from racerl.vehicle.rollout import Windows, drive_by, settle
 from racerl.vehicle.vehicle import STATE, Vehicle
 
@@ -131,15 +132,10 @@ def _cut_runs(
     for log in logs:
         for rows in log.runs():
             number += 1
-            starts = np.arange(0, len(rows) - length, stride)
+            starts = window_starts(len(rows), length, stride, rows["v_x"].to_numpy(), slowest)
             if not len(starts):
                 continue
             index = starts + np.arange(length + 1)[:, None]  # (T + 1, W)
-            speed = rows["v_x"].to_numpy()[index]
-            starts = starts[(speed > slowest).all(axis=0)]
-            if not len(starts):
-                continue
-            index = starts + np.arange(length + 1)[:, None]
             column = {name: rows[name].to_numpy()[index] for name in ("t", *log.channels)}
             inputs = np.stack([_input(name, column[name]) for name in (wiring.steering, wiring.drive)], axis=1)
             measured = np.stack([column[name] for name in wiring.observed], axis=1)

@@ -1,0 +1,33 @@
+"""Windows and blocks of them: what identify and gap cut, hold out and draw."""
+
+import numpy as np
+import pytest
+
+from racerl.estimation.blocks import counts, resampled, stretches
+from racerl.estimation.windows import window_starts
+
+
+def test_windows_leave_out_the_ends_and_what_is_slow():
+    assert window_starts(10, 3, 3).tolist() == [0, 3, 6]
+    assert window_starts(10, 3, 3, before=1, after=1).tolist() == [1, 4]
+    speed = np.ones(10)
+    speed[4] = 0.0  # in the windows that begin at 3 and, by its last sample, at 1
+    assert window_starts(10, 3, 1, speed, 0.5).tolist() == [0, 5, 6]
+    assert window_starts(3, 3, 1, np.ones(3), 0.5).tolist() == []
+
+
+def test_neighbours_of_one_run_are_one_block():
+    run, start = np.array([0, 0, 0, 1, 1]), np.array([0, 40, 100, 0, 99])
+    assert stretches(run, start, 100).tolist() == [0, 0, 1, 2, 2]
+
+
+def test_a_bootstrap_draws_as_many_blocks_as_there_are():
+    drawn = counts(7, 50, np.random.default_rng(0))
+    assert drawn.shape == (50, 7) and (drawn.sum(axis=1) == 7).all() and drawn.min() == 0 and drawn.max() > 1
+
+
+def test_the_spread_of_resampled_sums_is_the_standard_error():
+    sums = np.random.default_rng(1).normal(2.0, 3.0, size=(200, 2))
+    totals = resampled(sums, 4000, np.random.default_rng(2))
+    assert totals.mean(axis=0) == pytest.approx(sums.sum(axis=0), rel=0.01)
+    assert totals.std(axis=0) == pytest.approx(sums.std(axis=0) * np.sqrt(200), rel=0.05)
