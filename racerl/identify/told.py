@@ -83,9 +83,10 @@ def open_questions(unknowns: Unknowns, share: Array, correlation: Array) -> dict
 
 
 def _together(unknowns: Unknowns, share: Array, correlation: Array) -> Iterator[dict[str, Any]]:
-    """Yield pairs of numbers that are told only together, those that hang together most first."""
+    """Yield pairs of numbers that are told together but not alone, those that hang together most first."""
     upper = np.triu(np.abs(correlation), 1)
-    upper[np.ix_(share > NOTHING, share > NOTHING)] = 0.0
+    for known in (share > NOTHING, share < TOLD):
+        upper[np.ix_(known, known)] = 0.0
     for i, j in sorted(np.argwhere(upper > ONE).tolist(), key=lambda pair: -upper[pair[0], pair[1]]):
         same = (correlation[i, j] > 0.0) == (unknowns.start[i] * unknowns.start[j] > 0.0)
         yield {"parameters": [unknowns.names[i], unknowns.names[j]], "as": "ratio" if same else "product"}

@@ -52,6 +52,11 @@ def test_what_is_told_only_together_is_said_so(way, what):
     assert f"front.p_Ky1 and yaw_inertia are told only as a {what}" in found["says"]
 
 
+def test_two_numbers_that_are_told_well_are_not_spoken_of():
+    direction = np.array([1.0, -1.0])
+    assert told(["front.p_Ky1", "yaw_inertia"], 1e6 * np.outer(direction, direction) + 1e3 * np.eye(2))["says"] == []
+
+
 def test_nothing_is_open_where_all_is_told():
     assert told(["front.p_Ky1", "yaw_inertia"], 100.0 * np.eye(2))["says"] == []
 
