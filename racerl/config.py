@@ -184,7 +184,7 @@ def _rewrite(command: str, arguments: Sequence[str], positional: str | None) -> 
                 options += [] if value is None else [value]
                 if word in ("--config-dir", "-cd") and value:
                     _check_user_files(Path(value))
-        elif positional and not word.startswith("~") and ("=" not in word or _there(word)):
+        elif positional and not word.startswith("~") and ("=" not in word or _there(word, Path.is_dir)):
             bare.append(word)
         elif "=" not in word and not word.startswith("~"):
             raise ConfigError(f"'{word}' is no override; write key=value, for instance dr=friction_0.02")
@@ -208,17 +208,17 @@ def _rewrite_override(word: str, groups: set[str]) -> Iterator[str]:
         yield word.lstrip("+") if group in groups else word
 
 
-def _there(path: str) -> bool:
-    """Return whether there is a file or folder; a word too long to be one is none."""
+def _there(path: str, kind: Callable[[Path], bool] = Path.exists) -> bool:
+    """Return whether there is such a file or folder; a word too long to be one is none."""
     try:
-        return Path(path).exists()
+        return kind(Path(path))
     except OSError:
         return False
 
 
 def _require_file(group: str, value: str) -> None:
     """Raise ConfigError where a group's file is neither here nor, as tracks may be, among the packaged ones."""
-    if not _there(value) and not (conf_folder() / group / value).is_file():
+    if not _there(value, Path.is_file) and not (conf_folder() / group / value).is_file():
         raise ConfigError(
             f"{group} = {value}: no such file in {Path.cwd()}; give the path of one, or a name: "
             f"{', '.join(choices(group))}"

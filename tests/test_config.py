@@ -180,6 +180,18 @@ def test_mistakes_are_one_line_with_the_near_choices(words, said):
     assert said in str(error.value) and "\n" not in str(error.value)
 
 
+def test_a_folder_is_no_file_and_a_file_no_folder_of_logs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("seed=3", "drive.csv"):
+        (tmp_path / name).touch()
+    (tmp_path / "car.yaml").mkdir()
+    seen = []
+    run_command("gap", ["drive.csv", "seed=3"], lambda settings, out: seen.append(settings["seed"]), "logs")
+    assert seen == [3]
+    with pytest.raises(ConfigError, match="no such file"):
+        run_command("gap", ["drive.csv", "vehicle=car.yaml"], print, "logs")
+
+
 def test_a_word_may_be_longer_than_a_file_name(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "drive.csv").touch()
