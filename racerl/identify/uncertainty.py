@@ -1,8 +1,10 @@
 """What the data say about each parameter: intervals by block bootstrap, and what can't be told apart.
 
 Each block (a run, or a stretch of one when runs are few) contributes its own gradient and curvature at the optimum; a
-resample of the blocks, and of the priors' means, moves the optimum by one Gauss–Newton step. With fewer than a handful
-of blocks the curvature alone sets the width. Separability is judged from the data without the priors: by the width of
+resample of the blocks, and of the priors' means, moves the optimum by one Gauss–Newton step. A prior's mean is as unsure
+as its deviation says, or as far as the fit has gone from it: a car whose tyre is five deviations stiffer than expected
+was expected wrongly, and is still drawn back by a little. With fewer than a handful of blocks the curvature alone sets
+the width of the data's share. Separability is judged from the data without the priors: by the width of
 the interval and by the correlations of the estimates.
 
 What was settled by an earlier fit, to channels of its own, moves by that fit's draws, and the others follow it:
@@ -77,11 +79,13 @@ def estimate(
     generator = np.random.default_rng(seed)
     block = _blocks(cut)
     H_b, g_b = _sum_by(H[:, free][:, :, free], block), _sum_by(g[:, free], block)
+    distance = ((theta - unknowns.start) / scale)[free]
     own = (
-        _resample(H_b, g_b, objective.penalty, ((theta - unknowns.start) / scale)[free], generator)
+        _resample(H_b, g_b, objective.penalty, distance, generator)
         if len(H_b) >= FEWEST_BLOCKS
         else _normal(noise * _inverse(H_prior), generator)
     )
+    own -= objective.penalty * _surprise(distance, generator) @ _inverse(H_prior)
     moves, covariance = _settled(earlier, theta[settled])
     moves, covariance = moves / scale[settled], covariance / np.outer(scale[settled], scale[settled])
     order = np.argsort([*free, *settled])
@@ -103,13 +107,18 @@ def _settled(earlier: Sequence[Uncertainty], theta: Array) -> tuple[Array, Array
 
 
 def _resample(H: Array, g: Array, penalty: float, distance: Array, generator: np.random.Generator) -> Array:
-    """Return the optimum's moves (K, P) over resampled blocks; λ is the variance that the priors' means are given."""
+    """Return the optimum's moves (K, P) over resampled blocks and priors' means; `distance` (P,) is (θ − θ_0)/σ."""
     steps = np.empty((RESAMPLES, len(distance)))
     for i, count in enumerate(counts(len(H), RESAMPLES, generator)):
         A = np.tensordot(count, H, 1) + penalty * np.eye(len(distance))
         b = count @ g + penalty * (distance + generator.standard_normal(len(distance)))
         steps[i] = -_inverse(A) @ b
     return steps
+
+
+def _surprise(distance: Array, generator: np.random.Generator) -> Array:
+    """Return how much further the priors' means may be off than their deviations say, in deviations (K, P)."""
+    return generator.standard_normal((RESAMPLES, len(distance))) * np.sqrt(np.maximum(distance**2 - 1.0, 0.0))
 
 
 def _normal(covariance: Array, generator: np.random.Generator) -> Array:

@@ -235,7 +235,7 @@ def test_mistyped_settings(hidden, tmp_path, word, said):
 
 
 def test_something_must_count(hidden, tmp_path):
-    words = ["weights.yaw_rate=0", *(f"+weights.{name}=0" for name in ("v_x", "v_y", "delta", "omega"))]
+    words = [f"weights.{name}=0" for name in ("v_x", "v_y", "yaw_rate")] + ["+weights.delta=0", "+weights.omega=0"]
     with pytest.raises(ConfigError, match="leave one"):
         identify(settings_for(hidden / "log.parquet", *words), tmp_path / "out")
 

@@ -15,21 +15,23 @@ from racerl.vehicle.parameter import Parameter
 TRUTH = np.array([2.0, -1.0, 0.5])
 
 
-def linear_fit(seed, design=None, count=120, noise=0.3):
-    """A straight-line problem y = Jθ + noise with one state per window that takes up nothing."""
+def linear_fit(seed, design=None, count=120, noise=0.3, expected=None):
+    """A straight-line problem y = Jθ + noise with one state per window that takes up nothing; no prior but `expected`."""
     generator = np.random.default_rng(seed)
     J = generator.standard_normal((count, 5, 3)) if design is None else design(generator, count)
     y = J @ TRUTH + noise * generator.standard_normal((count, 5))
     tt = np.einsum("wki,wkj->wij", J, J)
-    theta = np.linalg.solve(tt.sum(0) + 1e-9 * np.eye(3), np.einsum("wki,wk->i", J, y))
+    penalty, start = (0.0, np.zeros(3)) if expected is None else (noise**2, expected)
+    right = np.einsum("wki,wk->i", J, y) + penalty * start
+    theta = np.linalg.solve(tt.sum(0) + (penalty + 1e-9) * np.eye(3), right)
     e = J @ theta - y
     none = np.zeros((count, 3, 1))
     t, x, xx = np.einsum("wki,wk->wi", J, e), none[:, 0], np.ones((count, 1, 1))
     at = Linearised(tt, none, xx, t, x, cost=1.0, data=float((e**2).sum()), squares=e**2)
     names = ("a", "b", "c")
     specification = (Parameter("", -9, 9, ""),) * 3
-    unknowns = Unknowns(names, np.zeros(3), np.ones(3), np.full(3, -9.0), np.full(3, 9.0), specification)
-    objective = SimpleNamespace(unknowns=unknowns, penalty=0.0)
+    unknowns = Unknowns(names, start, np.ones(3), np.full(3, -9.0), np.full(3, 9.0), specification)
+    objective = SimpleNamespace(unknowns=unknowns, penalty=penalty)
     return Fit(Point(theta, np.zeros((1, count))), at, 1, True), objective, count * 5
 
 
@@ -66,6 +68,19 @@ def test_intervals_cover_the_truth():
         )
         inside.append((low <= TRUTH) & (high >= TRUTH))
     assert 0.88 <= np.mean(inside) <= 0.99
+
+
+def test_intervals_cover_a_truth_that_was_not_expected():
+    """A prior eight deviations off draws the fit back by more than its noise; the interval reaches the truth."""
+    for run in (np.arange(24), np.zeros(24, dtype=int)):  # by resampling, and from few blocks' curvature
+        inside, pulled = [], []
+        for seed in range(40):
+            fit, objective, independent = linear_fit(seed, count=24, noise=3.0, expected=TRUTH - 8.0)
+            draws = estimate(fit, objective, cut_of(run), independent, 0).draws
+            low, high = np.percentile(draws, [2.5, 97.5], axis=0)
+            inside.append((low <= TRUTH) & (high >= TRUTH))
+            pulled.append(TRUTH - fit.point.theta)
+        assert np.mean(pulled) > 0.4 and np.mean(inside) > 0.9
 
 
 def test_what_was_settled_before_widens_the_rest():
