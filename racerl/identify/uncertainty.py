@@ -1,11 +1,11 @@
 """What the data say about each parameter: intervals by block bootstrap, and what can't be told apart.
 
 Each block (a run, or a stretch of one when runs are few) contributes its own gradient and curvature at the optimum; a
-resample of the blocks, and of the priors' means, moves the optimum by one Gauss–Newton step. A prior's mean is as unsure
-as its deviation says, or as far as the fit has gone from it: a car whose tyre is five deviations stiffer than expected
-was expected wrongly, and is still drawn back by a little. With fewer than a handful of blocks the curvature alone sets
-the width of the data's share. Separability is judged from the data without the priors: by the width of
-the interval and by the correlations of the estimates.
+resample of the blocks, and of the priors' means, moves the optimum by one Gauss–Newton step. A prior's mean is as
+unsure as its deviation says, or as far as the fit has gone from it: a car whose tyre is five deviations stiffer than
+expected was expected wrongly, and is still drawn back by a little. With fewer than a handful of blocks the curvature
+alone sets the width of the data's share. Separability is judged from the data without the priors: by the width of the
+interval and by the correlations of the estimates.
 
 What was settled by an earlier fit, to channels of its own, moves by that fit's draws, and the others follow it:
 

@@ -16,7 +16,7 @@ TRUTH = np.array([2.0, -1.0, 0.5])
 
 
 def linear_fit(seed, design=None, count=120, noise=0.3, expected=None):
-    """A straight-line problem y = Jθ + noise with one state per window that takes up nothing; no prior but `expected`."""
+    """A linear problem y = Jθ + noise with one state per window that takes up nothing; the prior is `expected`."""
     generator = np.random.default_rng(seed)
     J = generator.standard_normal((count, 5, 3)) if design is None else design(generator, count)
     y = J @ TRUTH + noise * generator.standard_normal((count, 5))
