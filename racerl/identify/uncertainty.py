@@ -73,7 +73,7 @@ def estimate(
     settled = np.array([unknowns.names.index(name) for part in earlier for name in part.names], dtype=np.intp)
     free = np.setdiff1d(np.arange(len(scale)), settled)
     H_free, H_settled = (H.sum(axis=0)[np.ix_(free, other)] for other in (free, settled))
-    H_prior = H_free + objective.penalty * np.eye(len(free))
+    with_prior = _inverse(H_free + objective.penalty * np.eye(len(free)))
     noise = at.data / independent
 
     generator = np.random.default_rng(seed)
@@ -83,13 +83,13 @@ def estimate(
     own = (
         _resample(H_b, g_b, objective.penalty, distance, generator)
         if len(H_b) >= FEWEST_BLOCKS
-        else _normal(noise * _inverse(H_prior), generator)
+        else _normal(noise * with_prior, generator)
     )
-    own -= objective.penalty * _surprise(distance, generator) @ _inverse(H_prior)
+    own -= objective.penalty * _surprise(distance, generator) @ with_prior
     moves, covariance = _settled(earlier, theta[settled])
     moves, covariance = moves / scale[settled], covariance / np.outer(scale[settled], scale[settled])
     order = np.argsort([*free, *settled])
-    steps = np.hstack([own - moves @ H_settled.T @ _inverse(H_prior), moves])[:, order]
+    steps = np.hstack([own - moves @ H_settled.T @ with_prior, moves])[:, order]
     draws = theta + steps * scale
     draws[:, free] = unknowns.clip(draws)[:, free]
     gain = -_inverse(H_free) @ H_settled

@@ -18,21 +18,18 @@ from racerl.vehicle.parameter import values
 CARS = 100
 MARGINS = 0.005  # of the value, by which a sampled log and a simulated one differ without any noise
 
-
-COMBINED = {  # combined slip of the published car
-    "front": {"r_Bx1": 2.364, "r_Bx2": 2.885, "r_Cx1": 0.957, "r_By1": 3.062, "r_By2": 2.527, "r_Cy1": 1.0},
-    "rear": {"r_Bx1": 8.403, "r_Bx2": 7.355, "r_Cx1": 1.0, "r_By1": 2.847, "r_By2": 2.125, "r_Cy1": 1.0},
-}
+COMBINED = ("r_Bx1", "r_Bx2", "r_Cx1", "r_By1", "r_By2", "r_Cy1")
 
 
 def drawn(number: int) -> tuple[list[str], list[str]]:
-    """Return the words of a car, and those of them that scales and a ruler tell."""
+    """Return the words of a car, and what scales and a ruler tell of it."""
+    published = values(load_vehicle(compose_settings("record", ["vehicle=published"])["vehicle"]))
     dice = np.random.default_rng(number)
     mass, wheelbase = 5.1 * dice.uniform(0.6, 1.4), 0.33 * dice.uniform(0.9, 1.1)
-    told = [f"vehicle.mass={mass:.4f}", f"vehicle.wheelbase={wheelbase:.4f}"]
+    words = [f"vehicle.mass={mass:.4f}", f"vehicle.wheelbase={wheelbase:.4f}"]
     lever = wheelbase * dice.uniform(0.4, 0.6)
-    told += [f"vehicle.l_f={lever * dice.normal(1.0, 0.02):.4f}"]  # axles on a kitchen scale
-    words = [f"vehicle.l_f={lever:.4f}", f"vehicle.yaw_inertia={mass * wheelbase**2 * dice.uniform(0.2, 0.3):.4f}"]
+    told = [*words, f"vehicle.l_f={lever * dice.normal(1.0, 0.02):.4f}"]  # axles on a kitchen scale
+    words += [f"vehicle.l_f={lever:.4f}", f"vehicle.yaw_inertia={mass * wheelbase**2 * dice.uniform(0.2, 0.3):.4f}"]
     words += [f"vehicle.{name}.time_constant={dice.uniform(0.02, 0.12):.4f}" for name in ("steering", "wheel_speed")]
     for axle in ("front", "rear"):
         numbers = {
@@ -44,7 +41,7 @@ def drawn(number: int) -> tuple[list[str], list[str]]:
             "p_Cx1": dice.uniform(0.8, 1.6),
             "p_Ey1": dice.uniform(-2.0, 0.5),
             "p_Ex1": dice.uniform(-3.0, 0.5),
-            **{name: value * dice.normal(1.0, 0.3) for name, value in COMBINED[axle].items()},
+            **{name: float(published[f"{axle}.{name}"]) * dice.normal(1.0, 0.3) for name in COMBINED},
         }
         words += [f"vehicle.{axle}.{name}={value:.4f}" for name, value in numbers.items()]
     return words, told
@@ -55,7 +52,7 @@ def recovered(number: int) -> list[tuple[str, float, bool, bool]]:
     words, told = drawn(number)
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder)
-        hidden = [*told, *words, f"hidden.seed={number}", f"seed={number}", "seconds=180"]
+        hidden = [*words, f"hidden.seed={number}", f"seed={number}", "seconds=180"]
         record(compose_settings("record", ["vehicle=published", *hidden]), out / "drive")
         truth = values(load_vehicle(yaml.safe_load((out / "drive" / "vehicle.yaml").read_text())))
         asked = [f"logs=['{out}/drive/log.parquet']", "vehicle=published", "starts=1", "folds=0", "threads=1", *told]
