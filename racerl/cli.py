@@ -417,7 +417,7 @@ def _identify(words: Sequence[str], settings: "Settings", out: Path) -> None:
         facts = identify(settings, out, bar.show)
     _print_identification(console, facts)
     page = draw_identification(out)
-    lines = [f"warning: {warning}" for warning in facts["warnings"]]
+    lines = [*_log_remarks(facts), *(f"warning: {warning}" for warning in facts["warnings"])]
     lines += facts["open"]["says"] if facts["fitted"] else []
     written = f"vehicle in {out / MODEL}, report in {page}" if facts["fitted"] else f"report in {page}"
     _print_lines(console, *lines, written, f"next: {_following(facts['verdict']['next'], words, out / MODEL)}")
@@ -523,9 +523,12 @@ def _print_verdict(console: Any, facts: dict[str, Any]) -> None:
             f"gap over the noise: {gap['unfitted']:.2f} as configured, {gap['before']:.2f} refitted, "
             f"{gap['after']:.2f} with the effects found"
         )
-    for remark in facts["remarks"]:
-        lines.append(f"warning: {remark}")
+    lines += [*_log_remarks(facts), *(f"warning: {remark}" for remark in facts["remarks"])]
     _print_lines(console, *lines)
+
+
+def _log_remarks(facts: dict[str, Any]) -> list[str]:
+    return [f"{log['name']}: {remark}" for log in facts["logs"] for remark in log["remarks"]]
 
 
 def _sweep(settings: "Settings", out: Path) -> None:

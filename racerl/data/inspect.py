@@ -14,20 +14,20 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from racerl.data.differentiate import slope, smoothed, velocities
-from racerl.data.log import CHANNELS, POSE, VELOCITY, Log
+from racerl.data.agreement import Comparison, compare_with_poses, differences
+from racerl.data.differentiate import slope, smoothed
+from racerl.data.lag import ENOUGH, Lag, best_lag, correlation_lag, reach, smoothing
+from racerl.data.log import CHANNELS, VELOCITY, Log
 
 Array = NDArray[np.float64]
 
 MOVING = 0.8  # m/s, above which kinematic relations are looked at
-ENOUGH = 300  # samples that a check needs
-MAX_LAG = 0.25  # s searched to either side
 LONG = 600.0  # s of a log that lags are looked for in
 # s ahead and behind, share explained: within the first two, tyres, actuators and noise explain a lag; with less than
 # the third, the log can't tell. Noise in ω − v_x makes ω look late by up to 0.04 s.
@@ -39,8 +39,6 @@ LIMITS = {
     "delta to curvature": (0.15, 0.02, 0.9),
     "delta_ref to curvature": (0.22, 0.02, 0.9),
 }
-MAX_POSE_LAG = 0.025  # s between velocities and differentiated poses
-MAX_OFFSET = 0.04  # m between the point of the velocities and the tracked one
 GENTLE = 2.5  # m/s² of lateral acceleration (90 %), below which a log may show the curvature but no yaw dynamics
 CLEAR = 0.6  # share of the yaw acceleration explained that shows the dynamics all the same
 HELD_SHARE = 0.6  # of the samples of a measured channel that repeat the one before
@@ -55,17 +53,11 @@ RECKONED = (
 GAIN = 0.02  # by which a shift must raise the explained share to be believed
 
 
-class Lag(NamedTuple):
-    """A measured lag in s, and the share (or correlation) explained with and without it."""
-
-    seconds: float
-    best: float
-    unshifted: float
-
-
 def inspect(log: Log, wheelbase: float = 0.33) -> dict[str, Any]:
     """Return what a log holds, as plain JSON: channels, rate, runs, coverage, lags and warnings."""
-    lags = _lags(log, wheelbase)
+    lags, compared = _lags(log, wheelbase), compare_with_poses(log)
+    if compared and compared.lag:
+        lags["yaw to yaw_rate"] = compared.lag
     return {
         "name": log.name,
         "rows": len(log.table),
@@ -84,8 +76,8 @@ def inspect(log: Log, wheelbase: float = 0.33) -> dict[str, Any]:
             *_clipped(log),
             *_signs_and_units(log, wheelbase),
             *([RECKONED] if log.reckoned else []),
-            *_against_poses(log, lags.get("yaw to yaw_rate")),
-            *_lag_warnings(log, lags),
+            *(_against_poses(compared) if compared else []),
+            *_lag_warnings(lags),
             *_doubled(log),
         ],
     }
@@ -228,7 +220,6 @@ def _lags(log: Log, wheelbase: float) -> dict[str, Lag]:
         lags["omega"] = wheel_lag(log)
     if _has(log, *VELOCITY, "current") and "current" not in held:
         lags["current"] = current_lag(log)
-    lags["yaw to yaw_rate"] = pose_lag(log)
     if _has(log, "delta", "delta_ref"):
         lags["delta_ref to delta"] = correlation_lag(log, "delta_ref", "delta")
     return {name: lag for name, lag in lags.items() if lag is not None}
@@ -240,7 +231,7 @@ def steering_lag(log: Log, name: str, wheelbase: float) -> Lag | None:
     def known(run: pd.DataFrame, speed: Array) -> tuple[Array, Array, Array]:
         v_y, r, half = run["v_y"].to_numpy(), run["yaw_rate"].to_numpy(), wheelbase / 2
         front, rear = np.arctan2(v_y + half * r, speed), np.arctan2(v_y - half * r, speed)
-        return front, np.column_stack([_bank(-rear), front]), slope(r, log.dt, _smooth(log))
+        return front, np.column_stack([_bank(-rear), front]), slope(r, log.dt, smoothing(log))
 
     def slips(angle: Array, front: Array, speed: Array) -> Array:
         # the angle itself besides, so that a wrong scale of it does no harm
@@ -288,8 +279,8 @@ def _longitudinal(log: Log) -> Known:
 
     def known(run: pd.DataFrame, speed: Array) -> tuple[Array, Array, Array]:
         v_x, v_y, r = (run[channel].to_numpy() for channel in VELOCITY)
-        smooth = smoothed(v_x, _smooth(log))
-        return smooth, np.column_stack([v_x, v_y * r, r * r]), slope(v_x, log.dt, _smooth(log)) - v_y * r
+        smooth = smoothed(v_x, smoothing(log))
+        return smooth, np.column_stack([v_x, v_y * r, r * r]), slope(v_x, log.dt, smoothing(log)) - v_y * r
 
     return known
 
@@ -300,32 +291,26 @@ def _regression_lag(log: Log, name: str, known: Known, shifted: Shifted) -> Lag 
     `known(run, speed)` gives what the shifted features need, further features (rows, K) and the acceleration (rows,);
     `shifted(channel, needed, speed)` gives the features to shift, which must raise the acceleration.
     """
-    reach = round(MAX_LAG / log.dt)
-    parts = []
+    most, parts = reach(log), []
     for run in log.runs():
-        if len(run) < 4 * reach:
+        if len(run) < 4 * most:
             continue
         v_x, signal = run["v_x"].to_numpy(), run[name].to_numpy()
-        inner = np.flatnonzero(v_x[reach : len(run) - reach] > MOVING) + reach
+        inner = np.flatnonzero(v_x[most : len(run) - most] > MOVING) + most
         speed = np.maximum(v_x, MOVING / 2)
         needed, rest, target = (values[inner] for values in known(run, speed))
-        parts.append((smoothed(signal, _smooth(log)), inner, speed[inner], needed, rest, target))
+        parts.append((smoothed(signal, smoothing(log)), inner, speed[inner], needed, rest, target))
     target = np.concatenate([part[-1] for part in parts]) if parts else np.zeros(0)
     if len(target) < ENOUGH or target.std() < 1e-2 or np.concatenate([part[0] for part in parts]).std() < 5e-3:
         return None
     scores = []
-    for shift in range(-reach, reach + 1):
+    for shift in range(-most, most + 1):
         rows = [
             np.hstack([shifted(signal[inner - shift], needed, speed), rest])
             for signal, inner, speed, needed, rest, _ in parts
         ]
         scores.append(_explained(np.vstack(rows), target, shifted(np.full(1, 1e-3), np.zeros(1), np.ones(1))[0]))
-    return _best(scores, reach, log.dt)
-
-
-def _smooth(log: Log) -> int:
-    """Return the window of the lag estimators in samples: 0.15 s, odd."""
-    return max(5, int(0.15 / log.dt) | 1)
+    return best_lag(scores, log.dt)
 
 
 def _bank(slip: Array) -> Array:
@@ -349,32 +334,7 @@ def _explained(features: Array, target: Array, small: Array) -> float:
     return max(0.0, float(1.0 - np.var(centred - matrix @ weights) / np.var(target)))
 
 
-def _best(scores: list[float], reach: int, dt: float) -> Lag:
-    k = int(np.argmax(scores))
-    return Lag(round((k - reach) * dt, 6), scores[k], scores[reach])
-
-
-def correlation_lag(log: Log, first: str, second: str) -> Lag | None:
-    """Return how much later the second channel moves than the first, by their greatest correlation."""
-    reach = round(MAX_LAG / log.dt)
-    runs = [run for run in log.runs() if len(run) >= 4 * reach]
-    return _correlation([(run[first].to_numpy(), run[second].to_numpy()) for run in runs], reach, log.dt)
-
-
-def _correlation(pairs: list[tuple[Array, Array]], reach: int, dt: float) -> Lag | None:
-    if sum(len(a) for a, _ in pairs) < ENOUGH:
-        return None
-    target = np.concatenate([b[reach : len(b) - reach] for _, b in pairs])
-    scores = []
-    for shift in range(-reach, reach + 1):
-        moved = np.concatenate([a[reach - shift : len(a) - reach - shift] for a, _ in pairs])
-        if moved.std() < 1e-6 or target.std() < 1e-6:
-            return None
-        scores.append(float(np.corrcoef(moved, target)[0, 1]))
-    return _best(scores, reach, dt)
-
-
-def _lag_warnings(log: Log, lags: dict[str, Lag]) -> Iterator[str]:
+def _lag_warnings(lags: dict[str, Lag]) -> Iterator[str]:
     for key, (ahead, behind, least) in LIMITS.items():
         lag, name = lags.get(key), key.split(" ")[0]
         if lag is None or lag.best < least or lag.best - lag.unshifted < (1e-3 if "curvature" in key else GAIN):
@@ -390,12 +350,6 @@ def _lag_warnings(log: Log, lags: dict[str, Lag]) -> Iterator[str]:
                 f"{name} is {-lag.seconds:.3f} s behind {answer}, which no car does: stamps of another clock; "
                 f"data.shift.{name}={lag.seconds:g} lines them up"
             )
-    lag = lags.get("yaw to yaw_rate")
-    if lag is not None and lag.best > 0.8 and abs(lag.seconds) >= MAX_POSE_LAG and lag.best - lag.unshifted > 1e-3:
-        yield (
-            f"yaw_rate lags the differentiated yaw by {lag.seconds:.3f} s: filtered, or stamps of another clock; "
-            "data.velocities=poses makes velocities from the poses"
-        )
     lag = lags.get("delta_ref to delta")
     if lag is not None and lag.best > 0.5 and lag.best - lag.unshifted > 1e-3 and not -0.015 <= lag.seconds <= 0.15:
         yield f"delta follows delta_ref by {lag.seconds:+.3f} s; expected is 0 … 0.15 s; check the stamps of both"
@@ -502,57 +456,23 @@ def _factor(ratio: float) -> str:
     return "rad/s of a small wheel?" if 8.0 < ratio < 50.0 else "rpm?" if ratio >= 50.0 else "another unit or scale?"
 
 
-def _from_poses(log: Log) -> list[tuple[Array, Array]]:
-    """Return per run (given, differentiated) velocities, each (3, rows); none where there is nothing to compare."""
-    if not _has(log, *POSE, *VELOCITY) or any("differentiated" in remark for remark in log.remarks):
-        return []
-    window = _smooth(log)
-    runs = [run for run in log.runs() if len(run) > 4 * round(MAX_LAG / log.dt)]
-    if sum(len(run) for run in runs) < ENOUGH:
-        return []
-    channels = [{name: run[name].to_numpy() for name in (*POSE, *VELOCITY)} for run in runs]
-    return [
-        (
-            np.stack([smoothed(c[name], window) for name in VELOCITY]),
-            np.stack(velocities(c["x"], c["y"], c["yaw"], log.dt, window, 2)),
-        )
-        for c in channels
-    ]
-
-
-def pose_lag(log: Log) -> Lag | None:
-    """Return how much later the given yaw rate moves than the differentiated yaw; None when there is no yaw."""
-    pairs = [(derived[2], given[2]) for given, derived in _from_poses(log)]
-    return _correlation(pairs, round(MAX_LAG / log.dt), log.dt) if pairs else None
-
-
-def _against_poses(log: Log, lag: Lag | None) -> Iterator[str]:
-    """Velocities that were not made from the poses here must agree with them, apart from the lag."""
-    pairs = _from_poses(log)
-    if not pairs:
-        return
-    shift = 0 if lag is None else round(lag.seconds / log.dt)
-    early, late = max(0, shift), max(0, -shift)
-    derived = np.hstack([made[:, late : made.shape[1] - early] for _, made in pairs])
-    given = np.hstack([told[:, early : told.shape[1] - late] for told, _ in pairs])
-    for name, is_, should in zip(VELOCITY, given, derived, strict=True):
-        if should.std() < 0.05 or is_.std() < 1e-9:
-            continue
-        correlation, factor = float(np.corrcoef(is_, should)[0, 1]), float(is_.std() / should.std())
+def _against_poses(compared: Comparison) -> Iterator[str]:
+    """Velocities that were not made from the poses must agree with them, apart from the lag."""
+    for name, correlation, factor in differences(compared):
         if correlation < -0.5:
             yield f"{name} has the opposite sign of the differentiated pose (correlation {correlation:.2f})"
         elif correlation > 0.7 and not 0.6 < factor < 1.6:
             yield f"{name} is {factor:.3g} times the differentiated pose: {_factor(factor)}"
         elif correlation < 0.5:
             yield f"{name} does not follow the differentiated pose (correlation {correlation:.2f}); axes turned?"
-    # v_y of a point a metres ahead of the pose's is v_y + a r
-    yaw_rate = derived[2] - derived[2].mean()
-    if yaw_rate.std() > 0.2 and np.corrcoef(given[1], derived[1])[0, 1] > 0.5:
-        features = np.column_stack([yaw_rate, derived[0], derived[1], np.ones(len(yaw_rate))])
-        weights, *_ = np.linalg.lstsq(features, given[1], rcond=None)
-        if abs(weights[0]) > MAX_OFFSET and abs(weights[2] - 1.0) < 0.25:
-            side = "ahead of" if weights[0] > 0 else "behind"
-            yield f"v_y belongs to a point {abs(weights[0]):.2f} m {side} the one x and y track; see data.frame.forward"
+    if compared.offset:
+        place = f"{abs(compared.offset):.2f} m {'ahead of' if compared.offset > 0 else 'behind'}"
+        yield f"v_y belongs to a point {place} the one x and y track; see data.frame.forward"
+    if compared.late:
+        yield (
+            f"yaw_rate lags the differentiated yaw by {compared.late:.3f} s: filtered, or stamps of another clock; "
+            "data.velocities=poses makes velocities from the poses"
+        )
 
 
 # ---- doubled driving

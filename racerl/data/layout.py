@@ -12,7 +12,8 @@ frame     the tracked point seen from the centre of gravity: forward, left in m;
 shift     seconds added to the time stamps of a channel before it is sampled beside the others
 resample  rate in Hz of the log; null keeps a table's own samples, and is 100 Hz for a bag, whose topics have own clocks
 gap       longest pause in s between samples of one run
-velocities  given: as the file has them; poses: differentiated from the poses even so
+velocities  columns: as the file has them; poses: differentiated from its poses; auto: from the poses where the columns
+          contradict them, late or of another point
 savgol    window (samples, odd) and order of the filter that differentiates poses where velocities are absent
 require   column: value, rows with another value are left out
 vehicle   wheelbase in m, for the kinematic checks of `racerl data`
@@ -34,7 +35,7 @@ from racerl.registry import construct
 
 COMMANDS = ("delta_ref", "omega_ref")
 STAMPS = ("header", "received")
-VELOCITIES = ("given", "poses")
+VELOCITIES = ("auto", "columns", "poses")
 
 
 @dataclass(frozen=True)
@@ -101,7 +102,7 @@ class Layout:
     shift: Mapping[str, float] = field(default_factory=dict)
     resample: float | None = None
     gap: float = 0.1
-    velocities: str = "given"
+    velocities: str = "auto"
     savgol: Savgol = Savgol()
     require: Mapping[str, float] = field(default_factory=dict)
     vehicle: Car = Car()
@@ -194,7 +195,7 @@ def _frame(frame: Frame) -> Frame:
 
 def _velocities(value: Any) -> str:
     if value not in VELOCITIES:
-        raise ConfigError(f"data.velocities = {value}: allowed is {' or '.join(VELOCITIES)}")
+        raise ConfigError(f"data.velocities = {value}: allowed is {', '.join(VELOCITIES)}")
     return str(value)
 
 

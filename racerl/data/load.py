@@ -12,7 +12,7 @@ import io
 import itertools
 import warnings
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from racerl.data.agreement import DIFFERENTIATED, contradiction
 from racerl.data.bag import Stream, is_bag, open_bag
 from racerl.data.differentiate import velocities
 from racerl.data.layout import Layout, Source, read_layout
@@ -88,13 +89,23 @@ def load_measured(settings: Mapping[str, Any]) -> list[Log]:
 
 
 def load_log(path: Path, layout: Layout) -> Log:
-    """Read one file through a layout."""
+    """Read one file through a layout; raise LogError, one line, where that can't be."""
     if not path.exists():
         raise LogError(f"{path}: no such file; give a log ({', '.join(TABLES)}) or a ROS 2 bag (folder, .db3, .mcap)")
+    log = _read(path, layout)
+    if layout.velocities != "auto" or log.reckoned or not (said := contradiction(log)):
+        return log
+    log = _read(path, replace(layout, velocities="poses"))
+    line = f"its velocities {said}, so they are made from the poses; data.velocities=columns keeps them"
+    return replace(log, remarks=(line, *log.remarks))
+
+
+def _read(path: Path, layout: Layout) -> Log:
     if is_bag(path):
         with open_bag(path) as bag:
             layout, remarks = suited(path, bag.topics, layout)
             streams, more = bag.read(layout)
+        streams = {name: streams[name] for name in _counting(streams, layout)}
         reckoned = _is_reckoned(streams)
         streams, spikes = _without_spikes(path.name, streams)
         pieces = _cut_streams(path.name, streams, layout)
@@ -206,8 +217,7 @@ def _named(path: Path, table: pd.DataFrame, layout: Layout) -> tuple[pd.DataFram
     if not found:
         raise LogError(f"{path}: has none of the columns that its mapping names{_likely(have)}")
     remarks = [f"no column for {name}: untestable" for name in chosen if name not in found]
-    if layout.velocities == "poses" and all(name in found for name in POSE):
-        found = {name: source for name, source in found.items() if name not in VELOCITY}
+    found = {name: found[name] for name in _counting(found, layout)}
     keep = np.ones(len(table), dtype=bool)
     for column, value in layout.require.items():
         if column not in have:
@@ -225,6 +235,13 @@ def _named(path: Path, table: pd.DataFrame, layout: Layout) -> tuple[pd.DataFram
     for name, source in found.items():
         named[name] = source.convert(_numeric(path, rows[source.column]))
     return pd.DataFrame(named), tuple(remarks)
+
+
+def _counting(channels: Iterable[str], layout: Layout) -> list[str]:
+    """Return the channels that are read: without velocities where these are made from the poses."""
+    names = list(channels)
+    made = layout.velocities == "poses" and set(names) >= set(POSE)
+    return [name for name in names if not (made and name in VELOCITY)]
 
 
 def _numeric(path: Path, column: pd.Series) -> Array:
@@ -366,7 +383,7 @@ def _assemble(name: str, pieces: list[Piece], layout: Layout, rate: float | None
     if short:
         said.append(f"{short} rows left out: runs shorter than {shortest} samples")
     if derive:
-        said.append(f"velocities differentiated from poses, Savitzky–Golay window {layout.savgol.window}")
+        said.append(f"{DIFFERENTIATED}, Savitzky–Golay window {layout.savgol.window}")
     ids = [pieces[int(table["run"].iloc[0])].run for table in tables]
     if all(isinstance(i, int | np.integer) for i in ids) and len(set(ids)) == len(ids):
         tables = [table.assign(run=i) for table, i in zip(tables, ids, strict=True)]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-RISE, FALL = 8.0, 4.0  # of μ after a step that does not help, and after one that does at once
+RISE, FALL = 8.0, 10.0  # of μ after a step that does not help, and after one that does at once
 LEAST, WORST = 1e-9, 1e8  # μ; beyond the worst no step helps any more
 FREE = 1e-2  # μ up to which a step counts as undamped
 ROUND = 1e-12  # of the mean stiffness, added to each: what is in no way determined stays

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.signal import savgol_coeffs, savgol_filter
 from scipy.special import comb
 
+from racerl.data.agreement import compare_with_poses
 from racerl.data.differentiate import velocities
-from racerl.data.inspect import pose_lag
 from racerl.data.log import POSE, VELOCITY, Log
 from racerl.estimation.windows import window_starts
 from racerl.gap.stage import Stage
@@ -221,8 +221,8 @@ class Evidence:
 
 def contradictory(logs: Sequence[Log]) -> bool:
     """Return whether velocities lag the poses that they belong to, so that no car could show both."""
-    lags = [lag for log in logs if (lag := pose_lag(log)) is not None]
-    return any(abs(lag.seconds) > LATE for lag in lags)
+    compared = [found for log in logs if (found := compare_with_poses(log)) is not None]
+    return any(found.lag is not None and abs(found.lag.seconds) > LATE for found in compared)
 
 
 def derived(runs: Sequence[pd.DataFrame], dt: float) -> bool:

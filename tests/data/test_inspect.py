@@ -154,9 +154,9 @@ def test_put_commands_and_currents_lead_the_motion(file):
 
 
 def test_put_velocities_are_late_and_made_anew_from_the_poses():
-    lags, said = seen("put/lab_drive.csv.gz", "put")
+    lags, said = seen("put/lab_drive.csv.gz", "put", velocities="columns")
     assert lags["yaw to yaw_rate"]["seconds"] == pytest.approx(0.07, abs=0.011) and len(said) == 4
-    lags, said = seen("put/lab_drive.csv.gz", "put", velocities="poses")
+    lags, said = seen("put/lab_drive.csv.gz", "put")
     assert abs(lags["delta"]["seconds"]) <= 0.02 and said == []
 
 

@@ -62,7 +62,7 @@ def test_points_make_straight_lines_held_outside():
         ({"resample": -1}, "2 …"),
         ({"gap": 0}, "data.gap"),
         ({"frame": {"forward": 99}}, "-10 … 10 m"),
-        ({"velocities": "given by hand"}, "given or poses"),
+        ({"velocities": "given by hand"}, "auto, columns, poses"),
         ({"vehicle": {"wheelbase": True}}, "allowed is a number"),
     ],
 )

@@ -1,6 +1,7 @@
 """Tables through mappings: round trips, units, frames, shifts, gaps; the measured logs; bad files in one line."""
 
 import gzip
+import re
 
 import numpy as np
 import pandas as pd
@@ -49,6 +50,37 @@ def test_velocities_come_from_poses_where_absent(driven, tmp_path):
     assert any("differentiated" in remark for remark in log.remarks)
     for name in ("v_x", "yaw_rate"):
         assert np.corrcoef(log.array(name), driven[name])[0, 1] > 0.97
+
+
+VELOCITIES = ["v_x", "v_y", "yaw_rate"]
+
+
+def late(table, names, rows):
+    return table.assign(**{n: table.groupby("run")[n].shift(rows).bfill() for n in names})
+
+
+def test_velocities_that_come_late_are_made_from_the_poses_and_one_line_says_so(driven, tmp_path):
+    path = save(late(driven, VELOCITIES, 7), tmp_path / "a.csv")
+    log = load(path)
+    assert "come 0.070 s after the poses" in log.remarks[0] and "data.velocities=columns" in log.remarks[0]
+    pd.testing.assert_frame_equal(log.table, load(path, velocities="poses").table)
+    assert np.corrcoef(log.array("yaw_rate"), driven["yaw_rate"])[0, 1] > 0.97
+    kept = load(path, velocities="columns")
+    assert kept.remarks == () and np.array_equal(kept.array("v_x"), pd.read_csv(path)["v_x"])
+
+
+def test_velocities_of_another_point_are_made_from_the_poses_and_one_line_says_where_it_is(driven, tmp_path):
+    log = load(save(driven.assign(v_y=driven["v_y"] - 0.15 * driven["yaw_rate"]), tmp_path / "a.csv"))
+    assert re.search(r"belong to a point 0\.1[456] m behind theirs", log.remarks[0])
+    assert np.corrcoef(log.array("v_y"), driven["v_y"])[0, 1] > 0.9
+
+
+@pytest.mark.parametrize("rows", [1, 10])
+def test_velocities_stand_where_it_is_the_poses_that_are_late_or_slow(driven, tmp_path, rows):
+    poses = ["x", "y", "yaw"]
+    held = {n: driven.groupby("run")[n].transform(lambda c: np.repeat(c.to_numpy()[::rows], rows)) for n in poses}
+    log = load(save(late(driven.assign(**held), poses, 5), tmp_path / "a.csv"))
+    np.testing.assert_array_equal(log.array("v_y"), driven["v_y"])
 
 
 def test_a_tracked_point_is_moved_to_the_centre_of_gravity(tmp_path):
