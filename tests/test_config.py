@@ -47,7 +47,7 @@ def test_no_file_is_left_out():
         # composed below, each with its command
         *(
             f"{group}/{path.name}"
-            for group in ("benchmark", "controller", "drive", "engine", "method")
+            for group in ("benchmark", "controller", "drive", "engine", "method", "priors")
             for path in (CONF / group).glob("*.yaml")
         ),
         "track/file.yaml",

@@ -45,7 +45,8 @@ class Comparison(NamedTuple):
         v_y of a point a metres ahead is v_y + a r.
         """
         (v_x, v_y, yaw_rate), given = self.derived, self.given[1]
-        if yaw_rate.std() <= 0.2 or np.corrcoef(given, v_y)[0, 1] <= 0.5:
+        moves = min(given.std(), v_y.std()) > 1e-9 and yaw_rate.std() > 0.2
+        if not moves or np.corrcoef(given, v_y)[0, 1] <= 0.5:
             return 0.0
         features = np.column_stack([yaw_rate - yaw_rate.mean(), v_x, v_y, np.ones(len(yaw_rate))])
         weights, *_ = np.linalg.lstsq(features, given, rcond=None)

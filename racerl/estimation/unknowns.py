@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 
 
 EFFECTS = "effects.*"  # a pattern that may find none
+FORMS = "allowed is a share ≥ 0, {absolute: …} or {share: …}, with within: [low, high] beside it if need be, or null"
 
 
 @dataclass(frozen=True)
@@ -78,8 +79,9 @@ def choose_unknowns(vehicle: Vehicle, priors: Mapping[str, Any], hold: Sequence[
 
     `configured` is the vehicle before measured actuators became inputs; patterns for what it alone has are passed over.
 
-    `priors` maps name patterns to a deviation: a number is a share of the vehicle's value, {absolute: …} is in the
-    parameter's unit, null holds it. The last pattern that fits a name decides. Raises ConfigError.
+    `priors` maps name patterns to a deviation: a number or {share: …} is a share of the vehicle's value, {absolute: …}
+    is in the parameter's unit, null holds it; `within` beside it narrows the bounds, as far as the vehicle lies inside.
+    The last pattern that fits a name decides. Raises ConfigError.
     """
     table = {name: float(value) for name, value in values(vehicle).items()}
     priors = dict(_flat(priors))
@@ -87,23 +89,25 @@ def choose_unknowns(vehicle: Vehicle, priors: Mapping[str, Any], hold: Sequence[
     for pattern in [*priors, *hold]:
         if not fnmatch.filter(values(configured), pattern) and pattern != EFFECTS:
             raise ConfigError(f"no parameter of the vehicle fits '{pattern}'{suggest(pattern, values(configured))}")
+    known = specifications(vehicle)
     sigma: dict[str, float] = {}
+    bounds = {name: (known[name].low, _highest(name, known[name], table)) for name in table}
     for pattern, width in priors.items():
         for name in fnmatch.filter(table, pattern):
             sigma[name] = _deviation(pattern, width, table[name])
+            bounds[name] = _within(pattern, width, known[name], table[name]) or bounds[name]
     for pattern in hold:
         for name in fnmatch.filter(table, pattern):
             sigma[name] = 0.0
     names = tuple(name for name in table if sigma.get(name, 0.0) > 0.0)
     if not names:
         raise ConfigError("every parameter is held; free some in priors, for instance priors.yaw_inertia=0.2")
-    known = specifications(vehicle)
     return Unknowns(
         names,
         np.array([table[name] for name in names]),
         np.array([sigma[name] for name in names]),
-        np.array([known[name].low for name in names]),
-        np.array([_highest(name, known[name], table) for name in names]),
+        np.array([bounds[name][0] for name in names]),
+        np.array([bounds[name][1] for name in names]),
         tuple(known[name] for name in names),
     )
 
@@ -116,7 +120,7 @@ def _highest(name: str, specification: Parameter, table: Mapping[str, float]) ->
 def _flat(priors: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
     """Yield (dotted pattern, width); an override such as priors.front.p_Hy1=… arrives nested."""
     for key, width in priors.items():
-        if isinstance(width, Mapping) and "absolute" not in width:
+        if isinstance(width, Mapping) and not {"absolute", "share"} & set(width):
             yield from _flat(width, f"{prefix}{key}.")
         else:
             yield f"{prefix}{key}", width
@@ -125,7 +129,28 @@ def _flat(priors: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, An
 def _deviation(pattern: str, width: Any, value: float) -> float:
     if width is None:
         return 0.0
-    number = width.get("absolute") if isinstance(width, Mapping) else width
-    if isinstance(number, bool) or not isinstance(number, (int, float)) or not math.isfinite(number) or number < 0:
-        raise ConfigError(f"priors.{pattern} = {width}: allowed is a share ≥ 0, {{absolute: …}} or null")
-    return float(number) if isinstance(width, Mapping) else float(number) * abs(value)
+    given = width if isinstance(width, Mapping) else {"share": width}
+    kind = "absolute" if "absolute" in given else "share"
+    if set(given) - {kind, "within"} or not _is_number(given[kind]) or given[kind] < 0:
+        raise ConfigError(f"priors.{pattern} = {width}: {FORMS}")
+    return float(given[kind]) * (abs(value) if kind == "share" else 1.0)
+
+
+def _within(pattern: str, width: Any, specification: Parameter, value: float) -> tuple[float, float] | None:
+    """Return the bounds that `within` narrows, the vehicle's own value inside; None where there is none."""
+    within = width.get("within") if isinstance(width, Mapping) else None
+    if within is None:
+        return None
+    if (
+        not isinstance(within, Sequence)
+        or len(within) != 2
+        or not all(map(_is_number, within))
+        or within[0] > within[1]
+    ):
+        raise ConfigError(f"priors.{pattern} = {width}: {FORMS}")
+    low, high = max(float(within[0]), specification.low), min(float(within[1]), specification.high)
+    return min(low, value), max(high, value)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)

@@ -25,6 +25,11 @@ def magic_angle(B: Scalar, C: Scalar, E: Scalar, slip: Scalar, ops: Ops) -> Scal
     return C * ops.atan(stretched - E * (stretched - ops.atan(stretched)))
 
 
+def positive(weight: Scalar, ops: Ops) -> Scalar:
+    """Return a weight of combined slip, zero where C > 1 would turn the force round: a sliding tyre drives no car."""
+    return ops.maximum(weight, 0.0)
+
+
 @dataclass(frozen=True, kw_only=True)
 class MagicFormula:
     """One axle's tyre. F_x, F_y in N for a vertical load F_z in N; slips are ratios."""
@@ -112,19 +117,19 @@ class MagicFormula:
         return D_y * ops.sin(magic_angle(K_y / (self.p_Cy1 * D_y), self.p_Cy1, E_y, alpha_y, ops)) + S_Vy, mu_y
 
     def longitudinal_weight(self, kappa: Scalar, alpha: Scalar, df_z: Scalar, ops: Ops) -> Scalar:
-        """Return G_xα, the loss of F_x by lateral slip (4.E50–4.E57); 1 at α = 0."""
+        """Return G_xα > 0, the loss of F_x by lateral slip (4.E50–4.E57); 1 at α = 0."""
         B = self.r_Bx1 * cos_atan(self.r_Bx2 * kappa, ops)
         E = ops.minimum(self.r_Ex1 + self.r_Ex2 * df_z, 1.0)
         at_slip = ops.cos(magic_angle(B, self.r_Cx1, E, alpha + self.r_Hx1, ops))
-        return at_slip / ops.cos(magic_angle(B, self.r_Cx1, E, self.r_Hx1, ops))
+        return positive(at_slip, ops) / ops.cos(magic_angle(B, self.r_Cx1, E, self.r_Hx1, ops))
 
     def lateral_weight(self, kappa: Scalar, alpha: Scalar, df_z: Scalar, ops: Ops) -> Scalar:
-        """Return G_yκ, the loss of F_y by longitudinal slip (4.E58–4.E65); 1 at κ = 0."""
+        """Return G_yκ > 0, the loss of F_y by longitudinal slip (4.E58–4.E65); 1 at κ = 0."""
         B = self.r_By1 * cos_atan(self.r_By2 * (alpha - self.r_By3), ops)
         E = ops.minimum(self.r_Ey1 + self.r_Ey2 * df_z, 1.0)
         shift = self.r_Hy1 + self.r_Hy2 * df_z
         at_slip = ops.cos(magic_angle(B, self.r_Cy1, E, kappa + shift, ops))
-        return at_slip / ops.cos(magic_angle(B, self.r_Cy1, E, shift, ops))
+        return positive(at_slip, ops) / ops.cos(magic_angle(B, self.r_Cy1, E, shift, ops))
 
     def ply_steer(self, kappa: Scalar, alpha: Scalar, D_y: Scalar, df_z: Scalar, ops: Ops) -> Scalar:
         """Return S_Vyκ, the side force that longitudinal slip induces (4.E66–4.E67), in N."""

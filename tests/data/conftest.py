@@ -35,7 +35,7 @@ def mapping(name: str) -> dict[str, Any]:
 
 def simulate(overrides: tuple[str, ...] = (), seed: int = 0, top: float = 4.5, runs: int = 3) -> pd.DataFrame:
     """Return 20 s per run of a car that follows wandering references, with the noise of a good laboratory."""
-    car = load_vehicle(compose_settings("train", list(overrides))["vehicle"])
+    car = load_vehicle(compose_settings("train", ["vehicle=published", *overrides])["vehicle"])
     x, u = casadi.SX.sym("x", len(car.states)), casadi.SX.sym("u", 2)
     count = 2000
     drive = casadi.Function("f", [x, u], [advance(car, x, u, 0.01, 1, CasadiOps())]).mapaccum(count)

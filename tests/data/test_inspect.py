@@ -24,7 +24,9 @@ def moved(table: pd.DataFrame, name: str, rows: int) -> pd.DataFrame:
 
 
 @pytest.mark.parametrize("top", [2.5, 4.5])
-@pytest.mark.parametrize("overrides", [(), ("vehicle.friction=0.5",), ("+vehicle/effect=tyre_relaxation",)])
+@pytest.mark.parametrize(
+    "overrides", [(), ("vehicle=f1tenth",), ("vehicle.friction=0.5",), ("+vehicle/effect=tyre_relaxation",)]
+)
 def test_clean_logs_raise_no_warning(overrides, top):
     facts = inspect(Log.from_table("drive", simulate(overrides, seed=3, top=top)))
     assert facts["warnings"] == []
@@ -42,6 +44,11 @@ def test_facts_of_a_clean_log(driven):
     assert set(facts["coverage"]) == {"speed", "slip_angle", "slip_ratio", "a_x", "a_y"}
     seconds = sum(facts["coverage"]["speed"]["seconds"])
     assert 58 < seconds <= 60
+
+
+def test_other_tyres_move_the_lag_of_the_steering_by_less_than_the_limit_of_a_warning():
+    lags = inspect(Log.from_table("drive", simulate(("vehicle=f1tenth",), seed=3)))["lags"]
+    assert abs(lags["delta"]["seconds"]) <= 0.031 and 0.01 <= lags["delta_ref"]["seconds"] <= 0.05
 
 
 def test_noise_is_what_was_added():

@@ -59,9 +59,22 @@ def test_draws_respect_the_bounds():
         ({"l_f": -0.1}, [], "priors.l_f"),
         ({"l_f": {"absolut": 1}}, [], "no parameter of the vehicle fits .l_f.absolut."),
         ({"l_f": None}, [], "every parameter is held"),
+        ({"l_f": {"share": 0.1, "within": [1.0]}}, [], "within: .low, high."),
+        ({"l_f": {"share": 0.1, "within": [0.3, 0.1]}}, [], "within: .low, high."),
+        ({"l_f": {"share": 0.1, "width": 3}}, [], "priors.l_f"),
     ],
 )
 def test_mistakes(priors, hold, said):
     with pytest.raises(ConfigError, match=said) as error:
         choose(priors, hold)
     assert "\n" not in str(error.value)
+
+
+def test_a_range_keeps_the_fit_inside_but_not_the_vehicle():
+    unknowns = choose({"*.p_Cy1": {"share": 0.3, "within": [0.5, 2.0]}, "*.p_Ex1": {"absolute": 1, "within": [-2, 9]}})
+    bounds = {name: (low, high) for name, low, high in zip(unknowns.names, unknowns.low, unknowns.high, strict=True)}
+    assert bounds["front.p_Cy1"] == (0.5, 2.0)
+    assert bounds["rear.p_Ex1"] == (min(-2.0, CAR.rear.p_Ex1), 1.0)  # no higher than a vehicle's own bound
+    assert unknowns.sigma[unknowns.names.index("front.p_Cy1")] == pytest.approx(0.3 * CAR.front.p_Cy1)
+    outside = choose({"l_f": {"share": 0.1, "within": [0.2, 0.3]}})
+    assert outside.low[0] == pytest.approx(CAR.l_f) and outside.high[0] == 0.3

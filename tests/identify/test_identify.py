@@ -219,7 +219,7 @@ def test_no_excitation(hidden, tmp_path):
         ("fit=1", "true or false"),
         ("hold=null", "hold = None"),
         ("hold=[1]", "hold"),
-        ("priors=null", "a mapping"),
+        ("priors=null", "a choice of conf/priors"),
         ("weights=null", "a mapping"),
         ("+weights.yawrate=3", "did you mean yaw_rate"),
         ("method.iterations=1.5", "whole number"),
@@ -290,23 +290,17 @@ def test_the_next_command_has_the_users_words():
 
 @pytest.mark.skipif(not (REAL / "put").is_dir(), reason="the measured logs are not here (shared/data/put)")
 def test_the_default_car_on_the_real_log(tmp_path):
-    """At or below the published parameters' errors on this log, which the car was fitted to: 0.099, 0.147, 0.209."""
-    log = REAL / "put" / "lab_drive.csv.gz"
-    facts = identify(compose_settings("identify", [f"logs=['{log}']", "fit=false", "threads=1"]), tmp_path / "out")
-    rmse = facts["rmse"]["85"]
-    assert rmse["v_x"] <= 0.099 and rmse["v_y"] <= 0.147 and rmse["yaw_rate"] <= 0.209
+    """The published parameters have 0.114, 0.187, 0.265 on the log's poses; the car was fitted to it."""
+    words = [f"logs=['{REAL / 'put' / 'lab_drive.csv.gz'}']", "vehicle=f1tenth", "fit=false", "threads=1"]
+    rmse = identify(compose_settings("identify", words), tmp_path / "out")["rmse"]["85"]
+    assert rmse["v_x"] <= 0.100 and rmse["v_y"] <= 0.080 and rmse["yaw_rate"] <= 0.175
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(
-    strict=True, reason="it was found with measured inputs half a sample late, from columns that lag more"
-)
 @pytest.mark.skipif(not (REAL / "put").is_dir(), reason="the measured logs are not here (shared/data/put)")
 def test_the_default_car_is_what_identify_finds(tmp_path):
     log = REAL / "put" / "lab_drive.csv.gz"
-    facts = identify(compose_settings("identify", [f"logs=['{log}']", "vehicle=published"]), tmp_path / "out")
-    held = facts["rmse"]["85"]
-    assert held["v_x"] <= 0.099 and held["v_y"] <= 0.147 and held["yaw_rate"] <= 0.209
+    identify(compose_settings("identify", [f"logs=['{log}']", "folds=0"]), tmp_path / "out")
     found = values(load_vehicle({"file": str(tmp_path / "out" / "model.yaml")}))
     default = values(load_vehicle(compose_settings("train", [])["vehicle"]))
     assert found == pytest.approx(default, rel=1e-3)

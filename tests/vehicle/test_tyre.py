@@ -84,6 +84,13 @@ def test_weights_fall_to_zero_for_C_of_one():
     assert abs(TYRE.longitudinal_weight(0.0, 1e9, 0.0, TORCH)) < 1e-6
 
 
+@given(slip, slip, st.floats(0.3, 2.0), st.floats(0.3, 2.0), st.floats(-3.0, 1.0))
+def test_no_shape_of_combined_slip_turns_a_force_round(kappa, alpha, C_x, C_y, E):
+    tyre = dataclasses.replace(TYRE, r_Cx1=C_x, r_Cy1=C_y, r_Ex1=E, r_Ey1=E)
+    F_x, F_y = forces(kappa, alpha, tyre=tyre)
+    assert float(F_x) * kappa >= 0.0 and float(F_y) * alpha >= 0.0
+
+
 @given(st.floats(0.3, 1.5))
 def test_friction_scales_the_peak_and_leaves_the_stiffness(friction):
     h = 1e-6
