@@ -20,7 +20,7 @@ from racerl.optimum.corridor import Corridor, Stretch
 from racerl.vehicle.vehicle import Vehicle
 
 ORDER = 2  # collocation points per interval
-MOST_TURN = 1.4  # rad, |ξ|
+MOST_TURN = 1.0  # rad, |ξ|; with 1.4 laps that slide sideways through a hairpin are found, slower local minima
 GRIP_USED = 0.3  # of the weight, by the first guess in the tightest turn
 SLOWEST = 0.2  # of the first guess's speed
 LEAST_SHARE = 0.05  # of the corridor's width, left by `room`

@@ -33,13 +33,16 @@ class Reserve:
     steering: float
 
 
-TOP = Reserve(room=0.085, grip=0.008, rate=0.02, steering=0.0)
 BELOW = Reserve(room=0.16, grip=0.02, rate=0.4, steering=0.1)
+# of the top lap: the first leaves least, and is too fast for some cars
+TOPS = (Reserve(room=0.085, grip=0.008, rate=0.02, steering=0.0), Reserve(0.12, 0.015, 0.2, 0.05), BELOW)
 
 
-def find_ladder(vehicle: Vehicle, track: Track, action: Action, corridor: Corridor) -> list[Solution]:
-    """Return laps of rising pace; raise OptimumError when one is not found."""
-    top = best_start(_problem(vehicle, track, action, corridor, TOP, np.inf))
+def find_ladder(
+    vehicle: Vehicle, track: Track, action: Action, corridor: Corridor, reserve: Reserve = TOPS[0]
+) -> list[Solution]:
+    """Return laps of rising pace, the top one with this reserve; raise OptimumError when one is not found."""
+    top = best_start(_problem(vehicle, track, action, corridor, reserve, np.inf))
     greatest = float(top.states[V_X].max())
 
     def below(paces: Sequence[float], guess: Guess | None) -> list[Solution]:
@@ -64,4 +67,5 @@ def _problem(
     share = {"steering_max": (1 - reserve.steering) * action.steering_max}
     if action.integrated:
         share["rate_max"] = (1 - reserve.rate) * action.rate_max
-    return Collocation(car, replace(action, **share), corridor, intervals, reserve.room * narrowest, fastest)  # type: ignore[type-var]
+    narrowed = replace(action, **share)  # type: ignore[type-var]
+    return Collocation(car, narrowed, corridor, intervals, reserve.room * narrowest, fastest)

@@ -5,29 +5,33 @@ time-optimal lap. "Near" is Σ (e/b)² of the deviations e from a lap at the car
 feedback's tolerances.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 import torch
 from torch import Tensor
 
 from racerl.env.race import Race
+from racerl.errors import OptimumError
 from racerl.optimum.along import LineFrame
 from racerl.optimum.corridor import Corridor
 from racerl.optimum.feedback import PLACES, Feedback, regulate
-from racerl.optimum.ladder import find_ladder
+from racerl.optimum.ladder import TOPS, Reserve, find_ladder
 
 HELD, CLIMBED = 1.0, 4.0  # Σ (e/b)² below which a lap is held, and the next one tried
 BASIN = 3.0  # of the tolerances of place and heading
 BASIN_SPEED = 2.0  # of those of speeds
+TRIAL, MOST_LOST = 15.0, 0.1  # s of driving, and the share of cars that may be lost in it
 START_SPREAD = 1.0  # standard deviation of starts on the fastest lap, of the tolerances
 
 
 class Teacher:
-    """Actions for all cars of a race."""
+    """Actions for all cars of a race; `reserve` is what the top lap leaves unused."""
 
-    def __init__(self, race: Race) -> None:
+    def __init__(self, race: Race, reserve: Reserve = TOPS[0]) -> None:
         corridor = Corridor(race.track)
         width = float((race.track.width_left + race.track.width_right).min() / 2)
-        self.laps = find_ladder(race.vehicle, race.track, race.action, corridor)
+        self.laps = find_ladder(race.vehicle, race.track, race.action, corridor, reserve)
         timing = race.timing
         # an action is held for a period, and the top lap's is taken from the middle of it; below, cars are caught
         # better without (of 128 random starts 9 leave the track instead of 38)
@@ -81,6 +85,33 @@ class Teacher:
         drive = z[:, -1] if race.action.integrated else race.action.initial(z[:, 6])
         steering = z[:, 5].clamp(-race.action.steering_max, race.action.steering_max)
         race.put(cars, state, torch.stack([steering, drive.clamp(race.action.drive_min, race.action.drive_max)]))
+
+
+def find_teacher(build: Callable[[], Race]) -> Teacher:
+    """Return the teacher with the fastest top lap that it climbs to without losing cars, races built for trials.
+
+    Raises OptimumError where it loses too many cars on all.
+    """
+    failed = ""
+    for reserve in TOPS:
+        try:
+            teacher = Teacher(build(), reserve)
+        except OptimumError as error:
+            failed = str(error)
+            continue
+        share = lost(teacher, build())
+        if share <= MOST_LOST:
+            return teacher
+        failed = f"{share:.0%} of the cars are lost, at most {MOST_LOST:.0%} may be"
+    raise OptimumError(f"algo = imitation: no feedback holds a fast lap of this car here ({failed}); use algo=ppo")
+
+
+def lost(teacher: Teacher, race: Race) -> float:
+    """Return the share of cars that leave the track or spin while the teacher drives them from a new race's starts."""
+    gone = torch.zeros(len(race.age), dtype=torch.bool, device=race.device)
+    for _ in range(round(TRIAL / race.timing.dt)):
+        gone |= race.step(teacher(race)).terminated
+    return float(gone.float().mean())
 
 
 def _basin(feedback: Feedback) -> np.ndarray:

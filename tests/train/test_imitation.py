@@ -18,7 +18,7 @@ from racerl.train.algorithms.imitation import Imitation
 from racerl.train.teacher import Teacher
 from racerl.train.train import train
 
-FLOOR = 5.164  # s, the time-optimal lap of the default car on the default track
+FLOOR = 5.155  # s, the time-optimal lap of the default car on the default track
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from racerl.control.policy import build_network
 from racerl.env.race import Race
 from racerl.train.products import fast_products
 from racerl.train.session import Progress, Session, policy_of
-from racerl.train.teacher import Teacher
+from racerl.train.teacher import Teacher, find_teacher
 
 # greatest of the whole numbers, and least and greatest of the others
 WHOLE = {
@@ -68,9 +68,13 @@ class Imitation:
 
     def train(self, session: Session) -> dict[str, Any]:
         """Drive and fit for `rounds` rounds."""
-        race = build_race(session.settings, cars=self.cars, seeds=[session.seed], device=session.device)
+
+        def build() -> Race:
+            return build_race(session.settings, cars=self.cars, seeds=[session.seed], device=session.device)
+
+        race = build()
         session.start()
-        teacher = Teacher(race)
+        teacher = find_teacher(build)
         torch.manual_seed(session.seed)
         network = build_network([race.observation.size, *self.layers, 2]).to(session.device)
         optimizer = torch.optim.Adam(network.parameters(), self.learning_rate)
