@@ -73,7 +73,7 @@ def driven(settings, path) -> tuple[float, float]:
 
 @pytest.fixture
 def taught(monkeypatch, teacher):
-    monkeypatch.setattr("racerl.train.algorithms.imitation.Teacher", lambda race: teacher)  # found once for all tests
+    monkeypatch.setattr("racerl.train.algorithms.imitation.find_teacher", lambda build: teacher)  # found once
 
 
 def test_a_policy_learns_from_it(settings, taught, tmp_path):
@@ -84,7 +84,7 @@ def test_a_policy_learns_from_it(settings, taught, tmp_path):
     laps, crashed = driven(settings, tmp_path / "run")
     assert crashed < 0.15 and laps > 10.0 / (1.3 * FLOOR)
     losses = [json.loads(line)["train/loss"] for line in (tmp_path / "run" / "progress.jsonl").read_text().splitlines()]
-    assert losses[-1] < losses[1]
+    assert losses[-1] < losses[-2]  # the last fit is longer, on nearly the same states
 
 
 def test_a_policy_that_hardly_moves_does_not(settings, taught, tmp_path):
