@@ -127,9 +127,9 @@ def test_the_driven_car_has_actuators_whatever_it_was_trained_with():
 def test_the_twin_is_the_vehicle_with_what_training_never_sees():
     trained = compose_settings("train", ["vehicle=published", "+vehicle/effect=aero_drag"])
     twin = raced(trained, "car=twin")
-    assert {"aero_drag", "tyre_relaxation", "pose_latency"} <= set(twin["vehicle"]["effects"])
+    assert {"aero_drag", "wheel_speed_latency", "pose_latency"} <= set(twin["vehicle"]["effects"])
     assert twin["sim"]["step"] < trained["sim"]["step"] and twin["dr"]["each_lap"] and twin["dr"]["sigma"] > 0
-    assert "tyre_relaxation" not in raced(trained, "car=twin", "~car.effects.tyre_relaxation")["vehicle"]["effects"]
+    assert "drive_delay" not in raced(trained, "car=twin", "~car.effects.drive_delay")["vehicle"]["effects"]
 
 
 @pytest.mark.parametrize("car", sorted(path.stem for path in (conf_folder() / "car").glob("*.yaml")))

@@ -10,12 +10,13 @@ from racerl.assemble import build_race
 from racerl.config import compose_settings
 from racerl.control.policy import load_policy
 from racerl.env.termination import Crash
-from racerl.errors import ConfigError
+from racerl.errors import ConfigError, OptimumError
 from racerl.evaluate.drive import drive
 from racerl.evaluate.laps import score
+from racerl.optimum.ladder import TOPS
 from racerl.train.algorithms import create_algorithm
 from racerl.train.algorithms.imitation import Imitation
-from racerl.train.teacher import Teacher
+from racerl.train.teacher import Teacher, find_teacher, lost
 from racerl.train.train import train
 
 FLOOR = 5.155  # s, the time-optimal lap of the default car on the default track
@@ -46,6 +47,35 @@ def test_the_teacher_climbs_to_the_fastest_lap(settings, teacher):
     assert lost.float().mean() < 0.1
     laps = race.track.length / (far[~lost] / (100 * race.timing.dt))
     assert laps.median() < 1.05 * FLOOR
+
+
+def test_the_top_lap_is_the_first_that_the_feedback_holds(monkeypatch):
+    def tried(shares):
+        """Return the reserve that is taken where trials lose these shares; None where no lap is found."""
+        left = iter(shares)
+
+        def teacher(race, reserve):
+            share = next(left)
+            if share is None:
+                raise OptimumError("no lap found")
+            return reserve, share
+
+        monkeypatch.setattr("racerl.train.teacher.Teacher", teacher)
+        monkeypatch.setattr("racerl.train.teacher.lost", lambda made, race: made[1])
+        return find_teacher(lambda: None)[0]
+
+    assert tried([0.05]) == TOPS[0] and tried([0.8, 0.1]) == TOPS[1] and tried([None, 1.0, 0.0]) == TOPS[2]
+    with pytest.raises(OptimumError, match=r"60% of the cars are lost.*algo=ppo") as error:
+        tried([0.9, None, 0.6])
+    assert "\n" not in str(error.value)
+
+
+def test_a_teacher_that_steers_nowhere_loses_the_cars(settings, teacher):
+    def nowhere(race):
+        return torch.ones(len(race.age), 2)
+
+    assert lost(nowhere, build_race(settings, cars=16, seeds=[1])) > 0.9
+    assert lost(teacher, build_race(settings, cars=64, seeds=[1])) <= 0.1
 
 
 def test_starts_near_the_fastest_lap_are_on_the_track(settings, teacher):
