@@ -45,6 +45,10 @@ class Car:
     name: str
     actuators: bool = True
     step: float | None = None  # s, of the Runge–Kutta steps; that of `sim` where it is None
+    vehicle: Mapping[str, Any] = field(
+        default_factory=dict
+    )  # what is driven in place of `model`, with effects of its own
+    model: Mapping[str, Any] = field(default_factory=dict)  # the vehicle that `vehicle` was measured beside
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)  # added to the vehicle's own
     drift: Mapping[str, Any] = field(default_factory=dict)  # a randomization, of what changes from lap to lap
     estimate: Mapping[str, float] = field(default_factory=dict)  # noise of what the driver sees, deviation per state
@@ -57,8 +61,15 @@ class Car:
             bounds.number(f"car.estimate.{state}", deviation, 0.0, 10.0)
 
     def wear(self, vehicle: Settings) -> dict[str, Any]:
-        """Return the settings of the vehicle that this car is."""
-        return {**vehicle, "effects": {**(vehicle.get("effects") or {}), **self.effects}}
+        """Return the settings of the vehicle that this car is; any but `model` keeps its numbers."""
+        effects = {**(vehicle.get("effects") or {}), **self.effects}
+        if self.model and _numbers(vehicle) == _numbers(self.model):
+            vehicle, effects = self.vehicle, {**(self.vehicle.get("effects") or {}), **effects}
+        return {**vehicle, "effects": effects}
+
+
+def _numbers(vehicle: Settings) -> dict[str, Any]:
+    return {key: value for key, value in vehicle.items() if key != "effects"}
 
 
 def check_settings(settings: Settings) -> None:

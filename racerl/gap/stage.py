@@ -6,8 +6,8 @@
 
 The whole chain, from the commands to the motion, is looked at, too, but decides nothing.
 
-What a stage takes as input is known as it was logged: sensors are undone on measured inputs (the inverse of
-`Vehicle.measured`, by fixed-point iteration), and only differences of timing matter. With τ = delay of the input +
+What a stage takes as input is known as it was logged: sensors are undone on measured inputs, and only differences of
+timing matter. With τ = delay of the input +
 latency of the outputs − latency of the input, input i acts as u_i(t − τ_i). Inputs are shifted to the current τ ahead
 of a rollout; a further shift is linear, u_i − Δτ_i u̇_i, which gives the sensitivity to it.
 """
@@ -16,15 +16,13 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from racerl.vehicle.actuator import Given
 from racerl.vehicle.effects import Effect
 from racerl.vehicle.ops import Ops
 from racerl.vehicle.parameter import replace_values
-from racerl.vehicle.rollout import Equations, Rollout, drive_by
+from racerl.vehicle.rollout import Equations, Rollout, drive_by, true_inputs
 from racerl.vehicle.vehicle import Vehicle
 
 SHIFTS = ("shift.steering", "shift.drive")  # s, of the two inputs
-UNDO = 3  # passes of the fixed-point iteration that inverts a sensor; each takes its error to its square or better
 
 
 @dataclass(frozen=True)
@@ -81,18 +79,8 @@ class StageEquations(Equations):
             "delta": steering - named.get(SHIFTS[0], 0.0) * steering_rate,
             "omega": drive - named.get(SHIFTS[1], 0.0) * drive_rate,
         }
-        return car.derivative(state, ops.stack(list(_undone(car, shown, ops).values())), ops)
+        return car.derivative(state, ops.stack(list(true_inputs(car, shown, ops).values())), ops)
 
 
 class StageRollout(StageEquations, Rollout):
     """The rollouts of a stage."""
-
-
-def _undone(car: Vehicle, shown: dict[str, Any], ops: Ops) -> dict[str, Any]:
-    """Return what was true of the measured inputs; commands stay as they are."""
-    measured = {"delta": isinstance(car.steering, Given), "omega": isinstance(car.drive, Given)}
-    true, others = dict(shown), dict.fromkeys(("x", "y", "yaw", "v_x", "v_y", "yaw_rate"), 0.0)
-    for _ in range(UNDO):
-        would_show = car.measured({**others, **true}, ops)
-        true = {name: true[name] + (shown[name] - would_show[name]) if measured[name] else true[name] for name in true}
-    return true

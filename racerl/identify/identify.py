@@ -21,22 +21,24 @@ from racerl.data.load import load_measured
 from racerl.data.log import CHANNELS, separate
 from racerl.documents import write_json, write_parquet
 from racerl.errors import ConfigError, LogError
-from racerl.estimation.unknowns import choose_unknowns
+from racerl.estimation.unknowns import Unknowns, choose_unknowns
 from racerl.identify.document import write_model
 from racerl.identify.folds import deal
 from racerl.identify.score import ErrorSum
 from racerl.identify.scored import Scored
 from racerl.identify.task import Solution, Task, make_task, plan, solve
+from racerl.identify.timing import aligned
 from racerl.identify.told import open_questions
 from racerl.identify.tyres import slips_covered, tyre_curves
 from racerl.identify.uncertainty import Uncertainty, describe
 from racerl.identify.verdict import judge
-from racerl.identify.windows import INPUTS, choose_wiring
+from racerl.identify.windows import INPUTS, Wiring, choose_wiring
 from racerl.identify.work import Progress, Work
 from racerl.run import RunFolder
 from racerl.vehicle.load import load_vehicle
 from racerl.vehicle.parameter import replace_values, values
-from racerl.vehicle.rollout import Rollout, fastest_rate
+from racerl.vehicle.rollout import Equations, Rollout, fastest_rate
+from racerl.vehicle.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 RESULT, MODEL, OVERLAY, TYRES = "identification.json", "model.yaml", "overlay.parquet", "tyres.parquet"
@@ -60,9 +62,10 @@ def identify(
     warnings += compare(logs)
     for log in logs:
         warnings += [f"{log.name}: {warning}" for warning in inspect(log, float(configured.wheelbase))["warnings"]]
+    logs = [aligned(log, configured) for log in logs]
     wiring = choose_wiring(logs, settings["inputs"])
     vehicle = wiring.driven(configured)
-    unknowns = choose_unknowns(vehicle, settings["priors"], settings["hold"], configured) if settings["fit"] else None
+    unknowns = _unknowns(settings, vehicle, configured, wiring) if settings["fit"] else None
     rollout = Rollout(vehicle, unknowns.names if unknowns else (), wiring.observed, settings["step"])
     scored = Scored(rollout, wiring, logs, settings)
     _check_stable(scored, rollout.nominal())
@@ -123,6 +126,15 @@ def check(settings: Mapping[str, Any]) -> None:
     hold = settings["hold"]
     if not isinstance(hold, (str, list)) or not all(isinstance(pattern, str) for pattern in hold):
         raise ConfigError(f"hold = {hold}: a list of parameters or patterns is expected, for instance hold=[l_f]")
+
+
+def _unknowns(settings: Mapping[str, Any], vehicle: Vehicle, configured: Vehicle, wiring: Wiring) -> Unknowns:
+    """Return what the fit may change: of effects only what a rollout shows; latencies and dead times are given."""
+    chosen = choose_unknowns(vehicle, settings["priors"], settings["hold"], configured)
+    if not any(name.startswith("effects.") for name in chosen.names):
+        return chosen
+    shown = Equations(vehicle, chosen.names, wiring.observed).effective()
+    return chosen.only([name for name in chosen.names if name in shown or not name.startswith("effects.")])
 
 
 def _result(task: Task, solution: Solution, uncertainty: Uncertainty) -> dict[str, Any]:

@@ -60,7 +60,8 @@ class Plan:
             )
         configured = load_vehicle(settings["vehicle"], sim["drive"], actuators)
         hidden = construct(Hidden, settings["hidden"], "hidden")
-        document = vehicle_document(car.wear(settings["vehicle"]), hidden.draw(configured), sim["drive"])
+        worn = car.wear(settings["vehicle"])
+        document = vehicle_document(worn, hidden.draw(load_vehicle(worn, sim["drive"], actuators)), sim["drive"])
         noise, choices = (np.random.default_rng(child) for child in np.random.SeedSequence(settings["seed"]).spawn(2))
         scene = Scene(
             vehicle=configured,

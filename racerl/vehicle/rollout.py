@@ -38,6 +38,8 @@ from racerl.vehicle.vehicle import STATE, Vehicle
 
 Array = NDArray[np.float64]
 LANES = 8
+INPUTS = ("delta", "omega")  # what drives the car, measured where its actuator is given
+UNDO = 3  # passes of the fixed-point iteration that inverts a sensor; each takes its error to its square or better
 CHUNK = 64  # windows per call of the compiled kernel
 
 TEMPLATE = """
@@ -319,6 +321,21 @@ def drive_by(vehicle: Vehicle, *, measured_steering: bool, measured_speed: bool)
     return dataclasses.replace(vehicle, **changes)
 
 
+def true_inputs(car: Vehicle, shown: Mapping[str, Any], ops: Ops) -> dict[str, Any]:
+    """Return what was true of the inputs (`INPUTS`) that sensors showed; what was not measured stays as it is.
+
+    It is the inverse of `Vehicle.measured`, by fixed-point iteration, with a car that moves along nothing.
+    """
+    measured = {"delta": isinstance(car.steering, Given), "omega": isinstance(car.drive, Given)}
+    true, others = dict(shown), dict.fromkeys(STATE, 0.0)
+    for _ in range(UNDO):
+        shows = car.measured({**others, **true}, ops)
+        for name in INPUTS:
+            if measured[name] and shows[name] is not true[name]:
+                true[name] = true[name] + (shown[name] - shows[name])
+    return true
+
+
 class Equations:
     """What is rolled out: a vehicle, `names` of its parameters that vary, and the channels `observed`.
 
@@ -340,7 +357,9 @@ class Equations:
 
     def derivative(self, state: Any, inputs: Any, parameters: Sequence[Any], ops: Ops) -> Any:
         """Return d(state)/dt."""
-        return self.car(parameters).derivative(state, inputs, ops)
+        car = self.car(parameters)
+        shown = dict(zip(INPUTS, ops.unstack(inputs), strict=True))
+        return car.derivative(state, ops.stack(list(true_inputs(car, shown, ops).values())), ops)
 
     def observe(self, state: Sequence[Any], parameters: Sequence[Any], ops: Ops) -> list[Any]:
         """Return the observed channels of a state's rows, as sensors show them."""

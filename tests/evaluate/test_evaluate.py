@@ -127,9 +127,25 @@ def test_the_driven_car_has_actuators_whatever_it_was_trained_with():
 def test_the_twin_is_the_vehicle_with_what_training_never_sees():
     trained = compose_settings("train", ["vehicle=published", "+vehicle/effect=aero_drag"])
     twin = raced(trained, "car=twin")
-    assert {"aero_drag", "wheel_speed_latency", "pose_latency"} <= set(twin["vehicle"]["effects"])
+    assert {"aero_drag", "drive_delay", "pose_latency"} <= set(twin["vehicle"]["effects"])
+    assert (
+        twin["vehicle"]["l_f"] == trained["vehicle"]["l_f"] and "wheel_speed_latency" not in twin["vehicle"]["effects"]
+    )
     assert twin["sim"]["step"] < trained["sim"]["step"] and twin["dr"]["each_lap"] and twin["dr"]["sigma"] > 0
     assert "drive_delay" not in raced(trained, "car=twin", "~car.effects.drive_delay")["vehicle"]["effects"]
+
+
+def test_the_twin_of_the_default_car_has_the_numbers_of_its_log():
+    own = compose_settings("train", ["vehicle=f1tenth_twin"])["vehicle"]
+    for words in ([], ["+vehicle/effect=aero_drag"]):
+        trained = compose_settings("train", words)
+        twin = raced(trained, "car=twin")["vehicle"]
+        assert {**twin, "effects": {}} == {**own, "effects": {}} and own["yaw_inertia"] != trained["vehicle"][
+            "yaw_inertia"
+        ]
+        assert {*own["effects"], *trained["vehicle"]["effects"], "steering_delay"} <= set(twin["effects"])
+    heavier = raced(compose_settings("train", ["vehicle.mass=6"]), "car=twin")["vehicle"]
+    assert heavier["mass"] == 6 and heavier["yaw_inertia"] != own["yaw_inertia"]
 
 
 @pytest.mark.parametrize("car", sorted(path.stem for path in (conf_folder() / "car").glob("*.yaml")))
