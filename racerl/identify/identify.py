@@ -59,10 +59,10 @@ def identify(
     began = time.perf_counter()
     configured = load_vehicle(settings["vehicle"])
     logs, warnings = separate(load_measured(settings))
+    logs = [aligned(log, configured) for log in logs]
     warnings += compare(logs)
     for log in logs:
         warnings += [f"{log.name}: {warning}" for warning in inspect(log, float(configured.wheelbase))["warnings"]]
-    logs = [aligned(log, configured) for log in logs]
     wiring = choose_wiring(logs, settings["inputs"])
     vehicle = wiring.driven(configured)
     unknowns = _unknowns(settings, vehicle, configured, wiring) if settings["fit"] else None
