@@ -24,7 +24,7 @@ MOST_TURN = 1.0  # rad, |ξ|; with 1.4 laps that slide sideways through a hairpi
 GRIP_USED = 0.3  # of the weight, by the first guess in the tightest turn
 SLOWEST = 0.2  # of the first guess's speed
 LEAST_SHARE = 0.05  # of the corridor's width, left by `room`
-MOST_ITERATIONS = 1000  # usual are 25 to 320; a limit in time would make a busy machine fail
+MOST_ITERATIONS = 500  # usual are 25 to 320; a limit in time would make a busy machine fail
 
 Array = NDArray[np.float64]
 Guess = Callable[[Array, Array], tuple[Array, Array]]

@@ -5,12 +5,13 @@ All keep off the boundaries and leave some of the action's range for feedback; t
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 import torch
 
 from racerl.env.actions import Action
+from racerl.errors import OptimumError
 from racerl.optimum.along import V_X
 from racerl.optimum.collocation import Collocation, Guess, Solution
 from racerl.optimum.corridor import Corridor
@@ -41,21 +42,39 @@ TOPS = (Reserve(room=0.085, grip=0.008, rate=0.02, steering=0.0), Reserve(0.12, 
 def find_ladder(
     vehicle: Vehicle, track: Track, action: Action, corridor: Corridor, reserve: Reserve = TOPS[0]
 ) -> list[Solution]:
-    """Return laps of rising pace, the top one with this reserve; raise OptimumError when one is not found."""
+    """Return laps of rising pace, the top one with this reserve; a lower one that is not found is left out.
+
+    Raises OptimumError when the top one is not found, or none below.
+    """
     top = best_start(_problem(vehicle, track, action, corridor, reserve, np.inf))
     greatest = float(top.states[V_X].max())
+    gentle = Reserve(*(max(pair) for pair in zip(astuple(BELOW), astuple(reserve), strict=True)))
 
     def below(paces: Sequence[float], guess: Guess | None) -> list[Solution]:
         laps: list[Solution] = []
         for pace in paces:
-            problem = _problem(vehicle, track, action, corridor, BELOW, pace * greatest)
-            laps.append(problem.solve(problem.guess(0.0) if guess is None else guess))
-            guess = None if guess is None else laps[-1].guess
+            problem = _problem(vehicle, track, action, corridor, gentle, pace * greatest)
+            if lap := _solved(problem, [problem.guess(0.0)] if guess is None else [guess, problem.guess(0.0)]):
+                laps.append(lap)
+                guess = None if guess is None else lap.guess
         return laps
 
     with ThreadPoolExecutor(torch.get_num_threads()) as pool:  # the solver lets other threads work meanwhile
         near, far = pool.submit(below, NEAR, top.guess), pool.submit(below, FAR, None)
-        return [top, *near.result(), *far.result()][::-1]
+        lower = [*near.result(), *far.result()]
+    if not lower:
+        raise OptimumError("no lap below the fastest one is found; a car could not climb to it")
+    return [top, *lower][::-1]
+
+
+def _solved(problem: Collocation, guesses: Sequence[Guess]) -> Solution | None:
+    """Return the lap from the first guess that leads to one; None where none does."""
+    for guess in guesses:
+        try:
+            return problem.solve(guess)
+        except OptimumError:
+            continue
+    return None
 
 
 def _problem(
