@@ -3,12 +3,9 @@
 All keep off the boundaries and leave some of the action's range for feedback; the top one assumes a little less grip.
 """
 
-from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 
 from racerl.env.actions import Action
 from racerl.errors import OptimumError
@@ -20,8 +17,7 @@ from racerl.track.track import Track
 from racerl.vehicle.vehicle import Vehicle
 
 INTERVAL = 0.33  # of the narrowest half-width
-# paces of the lower rungs, of the top one's greatest v_x: looked for near the one above, or along the line
-NEAR, FAR = (0.95, 0.8), (0.6, 0.4)
+PACES = (0.4, 0.55, 0.7, 0.8, 0.9, 0.96)  # of the lower rungs, of the greatest v_x of the gentlest one without a limit
 
 
 @dataclass(frozen=True)
@@ -34,47 +30,51 @@ class Reserve:
     steering: float
 
 
-BELOW = Reserve(room=0.16, grip=0.02, rate=0.4, steering=0.1)
-# of the top lap: the first leaves least, and is too fast for some cars
-TOPS = (Reserve(room=0.085, grip=0.008, rate=0.02, steering=0.0), Reserve(0.12, 0.015, 0.2, 0.05), BELOW)
+# of the rungs without a limit of pace: the first leaves least, and is too fast for some cars; the last goes for all below
+FULL = (Reserve(0.085, 0.008, 0.02, 0.0), Reserve(0.12, 0.015, 0.2, 0.05), Reserve(0.16, 0.02, 0.4, 0.1))
 
 
-def find_ladder(
-    vehicle: Vehicle, track: Track, action: Action, corridor: Corridor, reserve: Reserve = TOPS[0]
-) -> list[Solution]:
-    """Return laps of rising pace, the top one with this reserve; a lower one that is not found is left out.
+def find_ladder(vehicle: Vehicle, track: Track, action: Action, corridor: Corridor) -> list[Solution]:
+    """Return laps of rising pace; one that is not found is left out.
 
-    Raises OptimumError when the top one is not found, or none below.
+    Raises OptimumError where no lap without a limit of pace is found.
     """
-    top = best_start(_problem(vehicle, track, action, corridor, reserve, np.inf))
-    greatest = float(top.states[V_X].max())
-    gentle = Reserve(*(max(pair) for pair in zip(astuple(BELOW), astuple(reserve), strict=True)))
 
-    def below(paces: Sequence[float], guess: Guess | None) -> list[Solution]:
-        laps: list[Solution] = []
-        for pace in paces:
-            problem = _problem(vehicle, track, action, corridor, gentle, pace * greatest)
-            if lap := _solved(problem, [problem.guess(0.0)] if guess is None else [guess, problem.guess(0.0)]):
-                laps.append(lap)
-                guess = None if guess is None else lap.guess
-        return laps
+    def problem(reserve: Reserve, fastest: float = np.inf) -> Collocation:
+        return _problem(vehicle, track, action, corridor, reserve, fastest)
 
-    with ThreadPoolExecutor(torch.get_num_threads()) as pool:  # the solver lets other threads work meanwhile
-        near, far = pool.submit(below, NEAR, top.guess), pool.submit(below, FAR, None)
-        lower = [*near.result(), *far.result()]
-    if not lower:
-        raise OptimumError("no lap below the fastest one is found; a car could not climb to it")
-    return [top, *lower][::-1]
+    laps: list[Solution] = []  # of falling pace
+    for reserve in FULL:
+        if laps:
+            laps += _solved(problem(reserve), laps[-1].guess)
+        else:
+            laps += _started(problem(reserve), last=reserve is FULL[-1])
+    greatest, guess = float(laps[-1].states[V_X].max()), None
+    for pace in PACES:
+        limited = problem(FULL[-1], pace * greatest)
+        if lap := _solved(limited, *([guess] if guess else []), limited.guess(0.0)):
+            laps, guess = laps + lap, lap[0].guess
+    return sorted(laps, key=lambda lap: -lap.time)
 
 
-def _solved(problem: Collocation, guesses: Sequence[Guess]) -> Solution | None:
-    """Return the lap from the first guess that leads to one; None where none does."""
+def _started(problem: Collocation, last: bool) -> list[Solution]:
+    """Return the best lap of all first guesses; none where there is none, an OptimumError if it is the `last` hope."""
+    try:
+        return [best_start(problem)]
+    except OptimumError:
+        if last:
+            raise
+        return []
+
+
+def _solved(problem: Collocation, *guesses: Guess) -> list[Solution]:
+    """Return the lap from the first guess that leads to one; none where none does."""
     for guess in guesses:
         try:
-            return problem.solve(guess)
+            return [problem.solve(guess)]
         except OptimumError:
             continue
-    return None
+    return []
 
 
 def _problem(

@@ -5,7 +5,7 @@ time-optimal lap. "Near" is Σ (e/b)² of the deviations e from a lap at the car
 feedback's tolerances.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
@@ -14,9 +14,10 @@ from torch import Tensor
 from racerl.env.race import Race
 from racerl.errors import OptimumError
 from racerl.optimum.along import LineFrame
+from racerl.optimum.collocation import Solution
 from racerl.optimum.corridor import Corridor
 from racerl.optimum.feedback import PLACES, Feedback, regulate
-from racerl.optimum.ladder import TOPS, Reserve, find_ladder
+from racerl.optimum.ladder import find_ladder
 
 HELD, CLIMBED = 1.0, 4.0  # Σ (e/b)² below which a lap is held, and the next one tried
 BASIN = 3.0  # of the tolerances of place and heading
@@ -26,12 +27,11 @@ START_SPREAD = 1.0  # standard deviation of starts on the fastest lap, of the to
 
 
 class Teacher:
-    """Actions for all cars of a race; `reserve` is what the top lap leaves unused."""
+    """Actions for all cars of a race, by laps of rising pace on a corridor."""
 
-    def __init__(self, race: Race, reserve: Reserve = TOPS[0]) -> None:
-        corridor = Corridor(race.track)
+    def __init__(self, race: Race, corridor: Corridor, laps: Sequence[Solution]) -> None:
         width = float((race.track.width_left + race.track.width_right).min() / 2)
-        self.laps = find_ladder(race.vehicle, race.track, race.action, corridor, reserve)
+        self.laps = laps
         timing = race.timing
         # an action is held for a period, and the top lap's is taken from the middle of it; below, cars are caught
         # better without (of 128 random starts 9 leave the track instead of 38)
@@ -88,14 +88,17 @@ class Teacher:
 
 
 def find_teacher(build: Callable[[], Race]) -> Teacher:
-    """Return the teacher with the fastest top lap that it climbs to without losing cars, races built for trials.
+    """Return the teacher that climbs to the fastest lap without losing cars, races of the plain car built for trials.
 
-    Raises OptimumError where it loses too many cars on all.
+    Raises OptimumError where it loses too many cars on all laps.
     """
+    race = build()
+    corridor = Corridor(race.track)
+    laps = find_ladder(race.vehicle, race.track, race.action, corridor)
     failed = ""
-    for reserve in TOPS:
+    for height in range(len(laps), 0, -1):
         try:
-            teacher = Teacher(build(), reserve)
+            teacher = Teacher(race, corridor, laps[:height])
         except OptimumError as error:
             failed = str(error)
             continue
@@ -103,7 +106,7 @@ def find_teacher(build: Callable[[], Race]) -> Teacher:
         if share <= MOST_LOST:
             return teacher
         failed = f"{share:.0%} of the cars are lost, at most {MOST_LOST:.0%} may be"
-    raise OptimumError(f"algo = imitation: no feedback holds a fast lap of this car here ({failed}); use algo=ppo")
+    raise OptimumError(f"algo = imitation: no feedback holds a lap of this car here ({failed}); use algo=ppo")
 
 
 def lost(teacher: Teacher, race: Race) -> float:

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 
+import numpy as np
 import pytest
 import torch
 
@@ -13,10 +14,12 @@ from racerl.env.termination import Crash
 from racerl.errors import ConfigError, OptimumError
 from racerl.evaluate.drive import drive
 from racerl.evaluate.laps import score
-from racerl.optimum.ladder import TOPS
+from racerl.optimum.collocation import Collocation
+from racerl.optimum.corridor import Corridor
+from racerl.optimum.ladder import FULL, find_ladder
 from racerl.train.algorithms import create_algorithm
 from racerl.train.algorithms.imitation import Imitation
-from racerl.train.teacher import Teacher, find_teacher, lost
+from racerl.train.teacher import find_teacher, lost
 from racerl.train.train import train
 
 FLOOR = 5.155  # s, the time-optimal lap of the default car on the default track
@@ -29,7 +32,7 @@ def settings():
 
 @pytest.fixture(scope="module")
 def teacher(settings):
-    return Teacher(build_race(settings, cars=128, seeds=[0]))
+    return find_teacher(lambda: build_race(settings, cars=128, seeds=[0]))
 
 
 def test_laps_of_rising_pace(teacher):
@@ -49,25 +52,63 @@ def test_the_teacher_climbs_to_the_fastest_lap(settings, teacher):
     assert laps.median() < 1.05 * FLOOR
 
 
-def test_the_top_lap_is_the_first_that_the_feedback_holds(monkeypatch):
-    def tried(shares):
-        """Return the reserve that is taken where trials lose these shares; None where no lap is found."""
+def test_the_top_lap_is_the_fastest_that_the_feedback_holds(settings, monkeypatch):
+    def tried(*shares):
+        """Return how many of three laps are climbed where trials lose these shares; None where no feedback is found."""
         left = iter(shares)
 
-        def teacher(race, reserve):
+        def teacher(race, corridor, laps):
             share = next(left)
             if share is None:
-                raise OptimumError("no lap found")
-            return reserve, share
+                raise OptimumError("no feedback found")
+            return len(laps), share
 
+        monkeypatch.setattr("racerl.train.teacher.find_ladder", lambda *parts: ["slow", "quick", "fastest"])
         monkeypatch.setattr("racerl.train.teacher.Teacher", teacher)
         monkeypatch.setattr("racerl.train.teacher.lost", lambda made, race: made[1])
-        return find_teacher(lambda: None)[0]
+        return find_teacher(lambda: build_race(settings, cars=1, seeds=[0]))[0]
 
-    assert tried([0.05]) == TOPS[0] and tried([0.8, 0.1]) == TOPS[1] and tried([None, 1.0, 0.0]) == TOPS[2]
+    assert tried(0.05) == 3 and tried(0.8, 0.1) == 2 and tried(None, 1.0, 0.0) == 1
     with pytest.raises(OptimumError, match=r"60% of the cars are lost.*algo=ppo") as error:
-        tried([0.9, None, 0.6])
+        tried(0.9, None, 0.6)
     assert "\n" not in str(error.value)
+
+
+def test_a_lap_that_is_not_found_is_left_out(settings, monkeypatch):
+    """The teacher climbs over the gap; without any lap that nothing limits there is none."""
+
+    def found(impossible):
+        def solve(problem, guess):
+            if impossible(problem):
+                raise OptimumError("no lap found")
+            return Rung(problem)
+
+        monkeypatch.setattr(Collocation, "solve", solve)
+        monkeypatch.setattr("racerl.optimum.ladder.best_start", lambda problem: problem.solve(None))
+        race = build_race(settings, cars=1, seeds=[0])
+        return find_ladder(race.vehicle, race.track, race.action, Corridor(race.track))
+
+    laps = found(lambda problem: 2.5 < problem.fastest < 3.5)
+    assert [lap.time for lap in laps] == sorted((lap.time for lap in laps), reverse=True)
+    assert len(laps) == len(found(lambda problem: False)) - 2
+    assert len(found(lambda problem: problem.fastest < np.inf)) == len(FULL)
+    careful = laps[0].room
+    assert (
+        laps[-1].room < careful == found(lambda problem: problem.room < careful)[-1].room
+    )  # the fastest: not possible
+    with pytest.raises(OptimumError):
+        found(lambda problem: problem.fastest == np.inf)
+
+
+@dataclasses.dataclass(frozen=True)
+class Rung:
+    """A lap at the fastest speed that its problem allows, 4 m/s at most, and slower with more room."""
+
+    problem: Collocation
+    guess = None
+    room = property(lambda self: self.problem.room)
+    time = property(lambda self: 20.0 / min(self.problem.fastest, 4.0) + self.problem.room)
+    states = property(lambda self: np.full((len(self.problem.scale), 1), min(self.problem.fastest, 4.0)))
 
 
 def test_a_teacher_that_steers_nowhere_loses_the_cars(settings, teacher):
