@@ -30,7 +30,7 @@ class Reserve:
     steering: float
 
 
-# of the rungs without a limit of pace: the first leaves least, and is too fast for some cars; the last goes for all below
+# of rungs without a limit of pace: the first leaves least, and is too fast for some cars; the last holds for all below
 FULL = (Reserve(0.085, 0.008, 0.02, 0.0), Reserve(0.12, 0.015, 0.2, 0.05), Reserve(0.16, 0.02, 0.4, 0.1))
 
 
