@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 RESAMPLES = 2000
 OUTER = 0.02  # share of the blocks on each side that count no more than their neighbours
 CLEAR = 3.0  # standard errors by which a gain must differ from zero
+STAYS = 2.0  # the same, of an effect found before others: it goes at less than it came in with, or chance decides
 SURE = 5.0  # the same, where the excess is no larger than the noise is known
 SAME = 2.0  # standard errors within which candidates explain alike
 BEHIND = 3.0  # standard errors that a rival may be behind
@@ -72,7 +73,16 @@ class CandidateScore:
 
     @property
     def needed(self) -> bool:
-        """Whether the effect is needed.
+        """Whether the effect is needed."""
+        return self._asked_for(CLEAR)
+
+    @property
+    def stays(self) -> bool:
+        """Whether an effect that was needed before others were found still is."""
+        return self._asked_for(STAYS)
+
+    def _asked_for(self, errors: float) -> bool:
+        """Return whether held-out windows ask for the effect, by a gain of so many standard errors.
 
         A small one beside a large one has to explain most of what that one leaves, and not look like it. Where the
         excess is no larger than the noise is known, shares of it say nothing, and one effect has to gain the more.
@@ -81,7 +91,7 @@ class CandidateScore:
         small = self.explained > ALL and self.worth > SMALL and self.before > REAL and self.like < LIKE
         sure = self.before < REAL and self.gain > SURE * self.error and self.found.effects == {self.name}
         left = self.before > 0.0 and self.explained >= WORTH and (self.worth >= WORTH or small)
-        return sure or (self.clear and left)
+        return sure or (self.gain > errors * self.error and left)
 
 
 def excess(investigation: Investigation, cost: Mapping[str, Array], noise: Mapping[str, float]) -> float:
@@ -157,17 +167,25 @@ class Judge:
         return CandidateScore(name, found, cost, gain, error, self.chance(before, cost), share, worth, most, like)
 
     def ranked(self, scored: Sequence[CandidateScore], before: Mapping[str, Array]) -> list[CandidateScore]:
-        """Return candidates, best first: by their gains, but of those alike the one that explains most first."""
+        """Return candidates, best first: by their gains, but of those alike the one that explains most first.
+
+        Of effects that are one in this log the first by name stands for all, whatever the last digits of their fits.
+        """
         rows = sorted(scored, key=lambda row: -row.gain)
         if rows:
             alike = [row for row in rows if row.clear >= rows[0].clear and self.behind(rows[0], row, before) < SAME]
             first = max(alike, key=lambda row: row.explained - PARAMETER * row.size)
+            one = [row for row in rows if row is first or self._one(first, row)]
+            first = min(one, key=lambda row: row.name)
             rows = [first, *(row for row in rows if row is not first)]
         return [replace(row, behind=self.behind(rows[0], row, before)) for row in rows]
 
+    def _one(self, row: CandidateScore, other: CandidateScore) -> bool:
+        return self.nominal.one(row.name, other.name) and abs(row.explained - other.explained) < EQUAL
+
     def behind(self, best: CandidateScore, other: CandidateScore, before: Mapping[str, Array]) -> float:
         """Return by how many standard errors a candidate is worse than the best."""
-        if other is best:
+        if other is best or self._one(best, other):
             return 0.0
         gain, error = self.gain({**before, **other.cost}, {**before, **best.cost})
         return gain / max(error, 1e-9)

@@ -37,7 +37,7 @@ def _judged_again(judge: Judge, decision: Decision, name: str) -> Decision:
     others = {other: rows for other, rows in decision.kept.items() if other != name}
     lacking = changed(investigation, decision, others, less)
     own = judge.score(name, decision.found, lacking)
-    if not own.needed:
+    if not own.stays:
         return lacking
     near = [row for row in decision.kept[name][1:] if close(row) and row.name not in others]
     rivals = investigation.workers.each(lambda row: _instead(judge, lacking, row), near)

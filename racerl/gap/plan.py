@@ -18,7 +18,7 @@ from racerl.gap.checkpoint import Checkpoint
 from racerl.gap.diagnose import check, cut, excitations, refit
 from racerl.gap.score import Score, summed
 from racerl.gap.screening import scores
-from racerl.gap.verdict import alike, hidden
+from racerl.gap.verdict import alike
 from racerl.record.record import Plan, table
 from racerl.run import Compose, RunFolder
 from racerl.vehicle.load import load_vehicle
@@ -67,7 +67,7 @@ def programme(settings: Mapping[str, Any], compose: Compose) -> Log:
 
 def telling(score: Score) -> dict[str, Any]:
     """Return what a score says of the data: χ² of every effect, pairs that look alike, what to drive next."""
-    dark, cosines = hidden(score), score.cosines()
+    dark, cosines = score.hidden(), score.cosines()
     pairs: list[dict[str, Any]] = [
         {"effects": [score.names[i], score.names[j]], "cosine": float(cosines[i, j])}
         for i, j in np.argwhere(np.triu(alike(score))).tolist()

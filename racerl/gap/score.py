@@ -15,6 +15,9 @@ from racerl.gap.stage import SHIFTS
 from racerl.gap.stage_problem import StageProblem
 from racerl.vehicle.vehicle import STATE
 
+SHOWS = 30.0  # first-order gain, a χ², at its usual size that makes an effect show
+ONE = 0.9995  # |cosine| above which two effects are one in this log, for want of a stage that tells
+
 Array = NDArray[np.float64]
 
 
@@ -36,6 +39,16 @@ class Score:
         size = np.sqrt(np.maximum(np.diag(self.H), 1e-12))
         cosine: Array = self.H / np.outer(size, size)
         return cosine
+
+    def hidden(self) -> tuple[str, ...]:
+        """Return the effects that would not show at their usual size."""
+        return tuple(name for name, gain in zip(self.names, np.diag(self.H), strict=True) if gain < SHOWS)
+
+    def one(self, name: str, other: str) -> bool:
+        """Return whether two effects that show are one in this log."""
+        if name == other or not {name, other} <= set(self.names) - set(self.hidden()):
+            return False
+        return bool(abs(self.cosines()[self.names.index(name), self.names.index(other)]) > ONE)
 
     def likeness(self, name: str, others: Iterable[str]) -> float:
         """Return the largest |cosine| of an effect with some others, 0 with none."""

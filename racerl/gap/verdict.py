@@ -25,9 +25,7 @@ CHANCE = 5.0  # deviations of the noise's own cost, below which an excess may be
 LEFT, LEFT_EXACT = 0.25, 0.1  # shares of the first excess that may stay behind a right name: of many forms, of one
 CREDIBLE = 0.6  # share of the excess that a name must explain
 COARSE = 30.0  # excess over the noise's cost, beyond which that of filtered sensors is no yardstick
-SHOWS = 30.0  # first-order gain, a χ², at its usual size that makes an effect show
 TWINS = 0.95  # |cosine| above which a linear test cannot tell two effects apart
-ONE = 0.9995  # |cosine| above which two effects are one in this log, for want of a stage that tells
 MOST = 0.5  # share of the catalogue that a log must be able to show
 
 
@@ -44,7 +42,7 @@ class Verdict:
 
 def judge(investigation: Investigation, decision: Decision) -> Verdict:
     """Return the verdict."""
-    blind = hidden(decision.score)
+    blind = decision.score.hidden()
     effects = tuple(decision.chosen)
     equal = [row.name for rows in decision.kept.values() for row in equals(rows)]
     rivals = tuple(dict.fromkeys(name for name in (*equal, *_one_with(decision)) if name not in effects))
@@ -83,11 +81,7 @@ def listed(names: Sequence[str], word: str = "and") -> str:
 
 def _one_with(decision: Decision) -> list[str]:
     """Return the rivals that are one with a chosen effect in this log, even where their fits ended apart."""
-    names, cosines, dark = decision.score.names, np.abs(decision.score.cosines()), hidden(decision.score)
-
-    def one(name: str, other: str) -> bool:
-        return not {name, other} & set(dark) and bool(cosines[names.index(name), names.index(other)] > ONE)
-
+    one = decision.score.one
     return [row.name for name, rows in decision.kept.items() for row in rows[1:] if close(row) and one(name, row.name)]
 
 
@@ -129,21 +123,15 @@ def fitted(investigation: Investigation, decision: Decision) -> tuple[dict[str, 
     return before, after
 
 
-def hidden(score: Score) -> tuple[str, ...]:
-    """Return the effects that would not show at their usual size."""
-    shown = np.diag(score.H)
-    return tuple(name for name, gain in zip(score.names, shown, strict=True) if gain < SHOWS)
-
-
 def separable(score: Score) -> tuple[str, ...]:
     """Return the effects that would show at their usual size and look like no other that does."""
-    dark, twins = hidden(score), alike(score)
+    dark, twins = score.hidden(), alike(score)
     return tuple(name for name, row in zip(score.names, twins, strict=True) if name not in dark and not row.any())
 
 
 def alike(score: Score) -> NDArray[np.bool_]:
     """Return which effects that would show a linear test cannot tell from each other, (E, E)."""
-    dark = hidden(score)
+    dark = score.hidden()
     shown = np.array([name not in dark for name in score.names])
     same: NDArray[np.bool_] = np.abs(score.cosines()) > TWINS
     return same & np.outer(shown, shown) & ~np.eye(len(shown), dtype=bool)

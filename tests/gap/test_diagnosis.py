@@ -13,7 +13,7 @@ from racerl.documents import read_json
 from racerl.errors import ConfigError, LogError, RunError
 from racerl.estimation.unknowns import Unknown
 from racerl.gap import elimination
-from racerl.gap.comparison import CandidateScore, Judge, Standing, equals
+from racerl.gap.comparison import CandidateScore, Judge, Standing, close, equals
 from racerl.gap.decision import Decision, changed, passes_less_noise
 from racerl.gap.diagnose import gap, next_manoeuvre
 from racerl.gap.elimination import _idle, eliminated
@@ -301,7 +301,15 @@ def test_effects_are_judged_again_beside_those_found_after_them(monkeypatch, sha
 
     def score(name, found, standing):
         part = 1.0 - found.cost["chassis"] / standing.cost["chassis"]
-        row = {"explained": part, "gain": part, "needed": part > 0.04, "clear": True, "size": 1, "behind": 0.0}
+        row = {
+            "explained": part,
+            "gain": part,
+            "needed": part > 0.04,
+            "stays": part > 0.04,
+            "clear": True,
+            "size": 1,
+            "behind": 0.0,
+        }
         return SimpleNamespace(name=name, found=found, cost=found.cost, **row)
 
     def ranked(rows, cost):
@@ -454,6 +462,36 @@ def test_a_small_effect_beside_a_large_one_must_explain_what_is_left_and_not_loo
     assert not dataclasses.replace(small, error=40.0).needed
     # a fit at the noise lacks nothing, whatever its folds cost, unless the gain is beyond doubt
     assert not dataclasses.replace(small, worth=0.05, before=-0.01, error=20.0).needed
+    # what came in with three standard errors does not go at a little less
+    assert (less := dataclasses.replace(small, error=32.0)).stays and not less.needed
+    assert not dataclasses.replace(small, error=50.0).stays and not dataclasses.replace(small, explained=0.5).stays
+
+
+def test_of_effects_that_are_one_the_first_by_name_stands_for_all():
+    """Whatever the last digits of their fits say; another that helps as much is not of them."""
+    names = ["steering_offset", "steering_sensor_offset", "aero_drag"]
+    H = np.array([[90.0, -90.0, 0.0], [-90.0, 90.0, 0.0], [0.0, 0.0, 90.0]])
+    evidence = {"chassis": SimpleNamespace(run=np.zeros(40), start=np.arange(40) * 6, length=1, numbers=85)}
+    base = SimpleNamespace(cost={"chassis": np.full(40, 85.0)})
+    judge = Judge(SimpleNamespace(evidence=evidence, base=base, seed=0), {}, Score(names, H, np.zeros(3)))
+    before = {"chassis": np.full(40, 200.0)}
+
+    def row(name, cost, explained):
+        fit = SimpleNamespace(problem=SimpleNamespace(names=[f"effects.{name}.size"]))
+        return CandidateScore(name, fit, {"chassis": np.full(40, cost)}, 200.0 - cost, 1.0, 0.0, explained, 0.5, 1.0)
+
+    for sensor in (100.0, 101.0, 99.0):
+        rows = [
+            row("steering_offset", 100.0, 0.5),
+            row("steering_sensor_offset", sensor, 0.51),
+            row("aero_drag", 130.0, 0.3),
+        ]
+        ranked = judge.ranked(rows, before)
+        assert [each.name for each in ranked[:2]] == names[:2] and ranked[1].behind == 0.0 and close(ranked[1])
+        assert ranked[2].behind > 3.0
+    # one that explains far less is no twin: its fit did not end where the other's did
+    apart = judge.ranked([row("steering_offset", 150.0, 0.25), row("steering_sensor_offset", 100.0, 0.5)], before)
+    assert apart[0].name == "steering_sensor_offset" and apart[1].behind > 3.0
 
 
 def test_effects_that_are_one_in_a_log_are_rivals(monkeypatch):
