@@ -175,17 +175,18 @@ class Judge:
         if rows:
             alike = [row for row in rows if row.clear >= rows[0].clear and self.behind(rows[0], row, before) < SAME]
             first = max(alike, key=lambda row: row.explained - PARAMETER * row.size)
-            one = [row for row in rows if row is first or self._one(first, row)]
+            one = [row for row in rows if row is first or self.one(first, row)]
             first = min(one, key=lambda row: row.name)
             rows = [first, *(row for row in rows if row is not first)]
         return [replace(row, behind=self.behind(rows[0], row, before)) for row in rows]
 
-    def _one(self, row: CandidateScore, other: CandidateScore) -> bool:
+    def one(self, row: CandidateScore, other: CandidateScore) -> bool:
+        """Return whether two candidates are one in this log, and their fits ended alike."""
         return self.nominal.one(row.name, other.name) and abs(row.explained - other.explained) < EQUAL
 
     def behind(self, best: CandidateScore, other: CandidateScore, before: Mapping[str, Array]) -> float:
         """Return by how many standard errors a candidate is worse than the best."""
-        if other is best or self._one(best, other):
+        if other is best or self.one(best, other):
             return 0.0
         gain, error = self.gain({**before, **other.cost}, {**before, **best.cost})
         return gain / max(error, 1e-9)

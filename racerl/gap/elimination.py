@@ -39,10 +39,13 @@ def _judged_again(judge: Judge, decision: Decision, name: str) -> Decision:
     own = judge.score(name, decision.found, lacking)
     if not own.stays:
         return lacking
-    near = [row for row in decision.kept[name][1:] if close(row) and row.name not in others]
+    first, *rest = decision.kept[name]
+    same = [row for row in rest if judge.one(first, row)]  # fits of one model: what holds for one holds for all
+    near = [row for row in rest if close(row) and row.name not in others and row not in same]
     rivals = investigation.workers.each(lambda row: _instead(judge, lacking, row), near)
-    sound = [rival for rival in rivals if rival.needed and not passes_less_noise(judge, lacking, rival)]
-    rows = judge.ranked([own, *sound], lacking.cost)
+    sound = [rival for rival in rivals if rival.stays and not passes_less_noise(judge, lacking, rival)]
+    alike = [replace(own, name=row.name, found=row.found) for row in same]
+    rows = judge.ranked([own, *alike, *sound], lacking.cost)
     kept = dict((rows[0].name, rows) if other == name else (other, kept) for other, kept in decision.kept.items())
     if rows[0].name == name:
         return replace(decision, kept=kept)

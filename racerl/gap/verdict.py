@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from racerl.gap.comparison import REAL, close, equals, excesses, total
+from racerl.gap.comparison import BEHIND, REAL, equals, excesses, total
 from racerl.gap.decision import Decision
 from racerl.gap.fitted_model import touched
 from racerl.gap.investigation import Investigation
@@ -82,7 +82,12 @@ def listed(names: Sequence[str], word: str = "and") -> str:
 def _one_with(decision: Decision) -> list[str]:
     """Return the rivals that are one with a chosen effect in this log, even where their fits ended apart."""
     one = decision.score.one
-    return [row.name for name, rows in decision.kept.items() for row in rows[1:] if close(row) and one(name, row.name)]
+    return [
+        row.name
+        for name, rows in decision.kept.items()
+        for row in rows[1:]
+        if row.behind < BEHIND and one(name, row.name)
+    ]
 
 
 def open_stage(

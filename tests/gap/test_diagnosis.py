@@ -325,7 +325,7 @@ def test_effects_are_judged_again_beside_those_found_after_them(monkeypatch, sha
     monkeypatch.setattr(elimination, "without", lambda investigation, found, name: fit(found.names - {name}))
     monkeypatch.setattr(elimination, "joined", lambda *_: None)
     monkeypatch.setattr(elimination, "add", lambda investigation, base, name, vehicle: fit(base.names | {name}))
-    judge = SimpleNamespace(investigation=investigation, score=score, ranked=ranked)
+    judge = SimpleNamespace(investigation=investigation, score=score, ranked=ranked, one=lambda *_: False)
     v, a, both = (SimpleNamespace(cost={"chassis": left}, vehicle=fit("vl").vehicle) for left in (0.22, 0.23, 0.03))
     a.vehicle = SimpleNamespace(effects={"a": None})
     before = Standing(None, {"chassis": 1.0}, {})
