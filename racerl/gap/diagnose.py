@@ -47,6 +47,7 @@ PROGRAMME = (
 )
 NAMING, PROVING, LEARNING = (0.06, 0.7), 0.72, 0.75  # shares of the work: where each begins, and naming ends
 CLAIMS = ("named", "multiple", "ambiguous")
+COMMANDS = ("delta_ref", "omega_ref")
 
 
 def gap(settings: Mapping[str, Any], out: Path, on_progress: OnProgress = silent) -> dict[str, Any]:
@@ -171,13 +172,14 @@ def _steps(
     on_progress("prove", PROVING)
     proof = prove(investigation, decision.found)
     write_json(folder / PROOF, proof)
+    missing = sorted({name for each in told["untestable"].values() for name in COMMANDS if name in each})
     facts = {
         "verdict": verdict.kind,
         "reason": verdict.reason,
         "effects": named["effects"] if verdict.kind in CLAIMS else [],
         "helped": named["effects"] if verdict.kind not in CLAIMS else [],
         "ambiguous_with": list(verdict.rivals),
-        "next_manoeuvre": next_manoeuvre(verdict),
+        "next_manoeuvre": next_manoeuvre(verdict, missing if _one(decision, verdict) else ()),
         "ranking": named["ranking"],
         "where": located["where"],
         "moved": moved(investigation),
@@ -240,10 +242,16 @@ def _named(decision: Decision, verdict: Verdict, ranges: Mapping[str, tuple[floa
     }
 
 
-def next_manoeuvre(verdict: Verdict) -> str:
-    """Return what to drive so that the next log decides; empty where nothing is open."""
+def _one(decision: Decision, verdict: Verdict) -> bool:
+    """Return whether a rival is one with an effect, for want of a stage that tells them apart."""
+    return any(decision.score.one(effect, rival) for effect in verdict.effects for rival in verdict.rivals)
+
+
+def next_manoeuvre(verdict: Verdict, missing: Sequence[str] = ()) -> str:
+    """Return what to drive, and which channels to log with it, so that the next log decides; else nothing."""
     if verdict.kind == "ambiguous":
-        return "; ".join(excitations((*verdict.effects, *verdict.rivals)))
+        channels = [f"any, with {' and '.join(missing)} in the log"] if missing else []
+        return "; ".join([*channels, *excitations((*verdict.effects, *verdict.rivals))])
     if verdict.kind == "under_excited":
         return PROGRAMME
     return ""
