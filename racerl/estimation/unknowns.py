@@ -32,6 +32,14 @@ class Unknown:
     effect: bool = False  # of an effect: its prior is wide, and stays as it is whatever the model leaves
 
 
+def unsure(distance: Array) -> Array:
+    """Return how unsure priors' means are, in their deviations, where a fit has gone from them by `distance` of these.
+
+    A car that is five deviations from what was expected was expected wrongly.
+    """
+    return np.maximum(1.0, np.abs(distance))
+
+
 @dataclass(frozen=True)
 class Unknowns:
     """Free parameters θ in a fixed order; a prior is normal with the mean `start` and the deviation `sigma`."""

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from racerl.estimation.levenberg_marquardt import WORST, bounded_step, descend
 from racerl.estimation.pseudo_huber import pseudo_huber
-from racerl.estimation.unknowns import Unknown
+from racerl.estimation.unknowns import Unknown, unsure
 from racerl.gap.normal_equations import Linear
 from racerl.gap.stage_fit import StageFit
 from racerl.gap.stage_problem import StageProblem
@@ -231,12 +231,14 @@ class Problem:
     def covariance(self, fit: Fit, blocks: Sequence[NDArray[np.int64]]) -> Array:
         """Return the covariance of θ (N, N), robust against errors that are alike within blocks of windows.
 
-        A⁻¹ (S⁻² + Σ_b g_b g_bᵀ) A⁻¹ with A = H + S⁻², S the priors' deviations, g_b the gradient of a block.
+        A⁻¹ (M + Σ_b g_b g_bᵀ) A⁻¹ with A = H + λ/s², g_b the gradient of a block and M = max(1, d²) λ²/s², what a prior
+        draws by: its mean is as unsure as s says, or as far as the fit has gone from it, d = (θ − θ_0)/s.
         """
         reduced = fit.reduced()
         H, _ = self._total(reduced)
         inverse = np.linalg.inv(H + np.diag(self.scale**-2.0))
-        meat = np.diag(self.scale**-2.0)
+        sigma = np.array([unknown.sigma for unknown in self.unknowns])
+        meat = np.diag((unsure((self._vector(fit) - self.mean) / sigma) * sigma / self.scale**2) ** 2)
         for stage, (_, slope), block in zip(self.stages, reduced, blocks, strict=True):
             place = self.places(stage)
             sums = np.stack([np.bincount(block, column) for column in slope.T], axis=1)  # (B, N)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from racerl.estimation.blocks import counts, stretches
-from racerl.estimation.unknowns import Unknowns
+from racerl.estimation.unknowns import Unknowns, unsure
 from racerl.identify.methods import Fit
 from racerl.identify.objective import Objective
 from racerl.identify.windows import Cut
@@ -118,7 +118,7 @@ def _resample(H: Array, g: Array, penalty: float, distance: Array, generator: np
 
 def _surprise(distance: Array, generator: np.random.Generator) -> Array:
     """Return how much further the priors' means may be off than their deviations say, in deviations (K, P)."""
-    return generator.standard_normal((RESAMPLES, len(distance))) * np.sqrt(np.maximum(distance**2 - 1.0, 0.0))
+    return generator.standard_normal((RESAMPLES, len(distance))) * np.sqrt(unsure(distance) ** 2 - 1.0)
 
 
 def _normal(covariance: Array, generator: np.random.Generator) -> Array:

@@ -348,9 +348,30 @@ def test_what_the_data_do_not_tell_is_known_as_before(clean):
     problem, blocks = base.problem, [np.arange(len(cost)) for cost in base.cost.values()]
     H, _ = problem._total(base.fit.reduced())
     told = np.diag(H) * problem.scale**2
-    known = np.sqrt(np.diag(problem.covariance(base.fit, blocks))) / problem.scale
+    sigma = np.array([unknown.sigma for unknown in problem.unknowns])
+    known = np.sqrt(np.diag(problem.covariance(base.fit, blocks))) / sigma
     assert (told < 0.05).any() and known[told < 0.05] == pytest.approx(1.0, abs=0.05)
     assert known[problem.names.index("yaw_inertia")] < 0.05
+
+
+def test_intervals_reach_a_truth_that_the_prior_did_not_expect():
+    """A prior eight deviations off draws the fit back by more than its noise, at any strength."""
+    inside, pulled = [], []
+    for seed, strength in [(seed, strength) for seed in range(40) for strength in (1.0, 9.0)]:
+        dice = np.random.default_rng(seed)
+        J, truth = dice.standard_normal((24, 5, 3)), np.array([1.0, -2.0, 0.5])
+        y = J @ truth + np.sqrt(strength) * dice.standard_normal((24, 5))  # λ is what the model leaves
+        unknowns = [Unknown(name, mean, 1.0, -99.0, 99.0) for name, mean in zip("abc", truth - 8.0, strict=True)]
+        problem = Problem([SimpleNamespace(names=["a", "b", "c"])], unknowns, [strength])
+        H = np.einsum("wni,wnj->wij", J, J)
+        total = H.sum(axis=0) + strength * np.eye(3)
+        theta = np.linalg.solve(total, np.einsum("wni,wn->i", J, y) + strength * (truth - 8.0))
+        slope = np.einsum("wni,wn->wi", J, J @ theta - y)
+        fit = SimpleNamespace(theta=problem.named(theta), reduced=lambda H=H, slope=slope: [(H, slope)])
+        deviations = np.sqrt(np.diag(problem.covariance(fit, [np.arange(24)])))
+        inside.append(np.abs(theta - truth) < 1.96 * deviations)
+        pulled.append(truth - theta)
+    assert np.mean(pulled) > 0.2 and 0.9 < np.mean(inside) < 1.0
 
 
 @needs_compiler
