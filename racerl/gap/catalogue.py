@@ -30,7 +30,11 @@ def neutral(name: str) -> tuple[str, float]:
     return first, 1.0 if 0.0 < bounds.low < 1.0 < bounds.high and bounds.unit == "" else 0.0
 
 
+def of_the_world(name: str) -> bool:
+    """Return whether an effect has a place or a direction in the world, so that only a pose can show it."""
+    return set(PLACE) <= set(catalogue.entry(name).parameters)
+
+
 def placed(name: str) -> bool:
     """Return whether an effect lies at some place (x, y) of the world."""
-    parameters = catalogue.entry(name).parameters
-    return set(PLACE) <= set(parameters) and parameters["x"].unit == "m"
+    return of_the_world(name) and catalogue.entry(name).parameters["x"].unit == "m"

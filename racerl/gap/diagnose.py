@@ -16,7 +16,7 @@ from racerl.data.log import POSE, Log
 from racerl.documents import conf_folder, write_json, write_text
 from racerl.estimation.unknowns import choose_unknowns
 from racerl.gap import residual
-from racerl.gap.catalogue import starts
+from racerl.gap.catalogue import of_the_world, starts
 from racerl.gap.checkpoint import Checkpoint
 from racerl.gap.decision import Decision
 from racerl.gap.evidence import Evidence, channels_of
@@ -128,7 +128,7 @@ def refit(
     if channels_of(logs) & set(POSE):
         limits["effects.command_timestamp_offset.latency"] = (0.0, 0.2)
     else:
-        without.add("pose_latency")
+        without |= set(_unseen())
     if "l_f" in unknowns.names and COG not in without:  # further off has a name
         at = unknowns.names.index("l_f")
         weighed, deviation = float(unknowns.start[at]), float(unknowns.sigma[at])
@@ -287,9 +287,15 @@ def _silent(logs: Sequence[Log]) -> dict[str, Any]:
     }
 
 
+def _unseen() -> list[str]:
+    """Return the effects that only a pose can show."""
+    return ["pose_latency", *(name for name in catalogue.names() if of_the_world(name))]
+
+
 def _untestable(evidence: Mapping[str, Evidence], channels: Collection[str]) -> dict[str, str]:
-    """Return the stages that the logs' channels, or their shortness, leave untested."""
-    return {
+    """Return the stages, and the effects, that the logs' channels or their shortness leave untested."""
+    unseen = [] if set(channels) & set(POSE) else _unseen()
+    return dict.fromkeys(unseen, f"needs {', '.join(POSE)}") | {
         stage.name: f"needs {', '.join((*stage.inputs, stage.outputs[0]))} over {FEWEST} windows or more"
         for stage in stages(channels)
         if stage.name not in evidence

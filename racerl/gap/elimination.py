@@ -1,16 +1,19 @@
 """Backward elimination: every effect is judged again beside those found after it.
 
 What they make needless is taken out, and a rival that now explains more takes its place. At last everything is
-identified again, and an effect goes whose interval then holds the value of no effect.
+identified again, and an effect goes whose interval then holds the value of no effect, or all of the floor as its place.
 """
 
 from collections.abc import Mapping
 from dataclasses import replace
 
+import numpy as np
+
 from racerl.gap.candidates import add, everywhere, joined, without
-from racerl.gap.catalogue import neutral
+from racerl.gap.catalogue import PLACE, neutral, placed
 from racerl.gap.comparison import CandidateScore, Judge, close
 from racerl.gap.decision import Decision, carried, changed, passes_less_noise
+from racerl.gap.evidence import Evidence
 from racerl.gap.investigation import Investigation
 from racerl.gap.progress import OnProgress, silent
 from racerl.gap.uncertainty import intervals
@@ -61,11 +64,13 @@ def _instead(judge: Judge, lacking: Decision, rival: CandidateScore) -> Candidat
 
 
 def settled(investigation: Investigation, decision: Decision) -> Decision:
-    """Identify everything again in all stages; take out effects whose interval then holds the value of no effect."""
+    """Identify everything again in all stages; take out effects whose interval then holds no effect, or any place."""
     while True:
         found = everywhere(investigation, decision.found)
         ranges = intervals(investigation, found)
-        idle = [name for name in decision.chosen if _idle(name, ranges)]
+        idle = [
+            name for name in decision.chosen if _idle(name, ranges) or _nowhere(name, ranges, investigation.evidence)
+        ]
         if not idle:
             return replace(decision, found=found)
         kept = {name: rows for name, rows in decision.kept.items() if name != idle[0]}
@@ -78,3 +83,11 @@ def _idle(name: str, ranges: Mapping[str, tuple[float, float, float]]) -> bool:
         return False
     _, low, high = ranges[f"effects.{name}.{first}"]
     return low <= zero <= high
+
+
+def _nowhere(name: str, ranges: Mapping[str, tuple[float, float, float]], evidence: Mapping[str, Evidence]) -> bool:
+    """Return whether the interval of an effect's place is as wide as the floor that was driven on."""
+    if not placed(name):
+        return False
+    wide = {axis: np.subtract(*ranges[f"effects.{name}.{axis}"][:0:-1]) for axis in PLACE}
+    return any(wide[axis] >= np.ptp(evidence["chassis"].columns[axis]) for axis in PLACE)

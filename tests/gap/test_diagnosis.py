@@ -15,8 +15,8 @@ from racerl.estimation.unknowns import Unknown
 from racerl.gap import elimination
 from racerl.gap.comparison import CandidateScore, Judge, Standing, close, equals
 from racerl.gap.decision import Decision, changed, passes_less_noise
-from racerl.gap.diagnose import gap, next_manoeuvre
-from racerl.gap.elimination import _idle, eliminated
+from racerl.gap.diagnose import _untestable, gap, next_manoeuvre
+from racerl.gap.elimination import _idle, _nowhere, eliminated
 from racerl.gap.evidence import Evidence, contradictory
 from racerl.gap.growth import growth, places
 from racerl.gap.locate import _test
@@ -417,6 +417,30 @@ def test_a_rear_driven_split_is_no_idle_effect():
     assert _idle("steering_offset", {"effects.steering_offset.offset": (0.001, -0.001, 0.003)})
     assert not _idle("steering_offset", {"effects.steering_offset.offset": (0.003, 0.001, 0.005)})
     assert not _idle("drive_split", {"effects.drive_split.front": (0.0, 0.0, 0.1)})  # bounds, not doubt
+
+
+def test_a_place_anywhere_on_the_floor_is_none():
+    evidence = {"chassis": SimpleNamespace(columns={"x": np.array([-3.0, 4.0]), "y": np.array([0.0, 5.0])})}
+
+    def ranges(name, x, y):
+        return {f"effects.{name}.{axis}": (1.0, 1.0 - half, 1.0 + half) for axis, half in (("x", x), ("y", y))}
+
+    assert not _nowhere("road_bank", ranges("road_bank", 1.0, 2.0), evidence)
+    assert _nowhere("road_bank", ranges("road_bank", 1.0, 2.6), evidence)
+    assert _nowhere("friction_patch", ranges("friction_patch", 9.0, 0.1), evidence)
+    assert not _nowhere("yaw_damping", {}, evidence) and not _nowhere(
+        "road_slope", {}, evidence
+    )  # nowhere in particular
+
+
+def test_what_has_a_place_needs_a_pose():
+    without = _untestable({}, {"v_x", "v_y", "yaw_rate", "delta", "omega"})
+    assert (
+        without.keys() >= {"road_bank", "road_slope", "friction_patch", "pose_latency"}
+        and "x, y, yaw" in without["road_bank"]
+    )
+    assert not without.keys() & {"friction_fade", "tyre_heating", "yaw_damping", "lever_arm"}
+    assert "road_bank" not in _untestable({}, {"x", "y", "yaw", "delta", "omega"})
 
 
 def test_the_next_manoeuvre_is_what_would_decide():
