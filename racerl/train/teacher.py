@@ -20,9 +20,10 @@ from racerl.optimum.feedback import PLACES, Feedback, regulate
 from racerl.optimum.ladder import find_ladder
 
 HELD, CLIMBED = 1.0, 4.0  # Σ (e/b)² below which a lap is held, and the next one tried
+NEAREST = 1.2  # times the least Σ (e/b)² between two laps, up to which the next one is tried where all of it is further
 BASIN = 3.0  # of the tolerances of place and heading
 BASIN_SPEED = 2.0  # of those of speeds
-TRIAL, MOST_LOST = 15.0, 0.1  # s of driving, and the share of cars that may be lost in it
+TRIAL, MOST_LEFT = 15.0, 0.1  # s of driving, and the share of cars that may not have come to the top lap by then
 START_SPREAD = 1.0  # standard deviation of starts on the fastest lap, of the tolerances
 
 
@@ -49,9 +50,19 @@ class Teacher:
         self.gains = table([rung.gains for rung in rungs])
         self.tolerances = table([rungs[-1].tolerances])[0]
         self.basin = table([_basin(rungs[-1])])[0]
+        apart = (((self.states[1:] - self.states[:-1]) / self.basin) ** 2).sum(dim=2)  # (L - 1, M)
+        self.reach = (NEAREST * apart.amin(dim=1)).clamp(min=CLIMBED)
 
     def __call__(self, race: Race) -> Tensor:
         """Return the actions (N, 2), which may reach beyond ± 1."""
+        return self._asked(race)[0]
+
+    def on_top(self, race: Race) -> Tensor:
+        """Return whether each car (N,) is driven by the fastest lap."""
+        return self._asked(race)[1] == len(self.laps) - 1
+
+    def _asked(self, race: Race) -> tuple[Tensor, Tensor]:
+        """Return the actions (N, 2), and which laps (N,) give them."""
         s, z = self.line.locate(race, race.state, race.s)
         position = s / self.line.frame.length * PLACES
         cell = position.floor()
@@ -61,15 +72,17 @@ class Teacher:
         action = torch.lerp(self.actions[:, index], self.actions[:, following], share)
         action = action - (self.gains[:, index] @ deviation[..., None])[..., 0]
         rung = self._choose(((deviation / self.basin) ** 2).sum(dim=2))
-        return action[rung, torch.arange(len(rung), device=rung.device)]
+        return action[rung, torch.arange(len(rung), device=rung.device)], rung
 
     def _choose(self, distance: Tensor) -> Tensor:
         """Return the lap (N,) for each car from its distances (L, N) to all."""
         order = torch.arange(len(distance), device=distance.device)[:, None]
         held = torch.where(distance < HELD, order, -1).amax(dim=0)
         rung = torch.where(held >= 0, held, distance.argmin(dim=0))
+        if len(distance) == 1:
+            return rung
         above = (rung + 1).clamp(max=len(distance) - 1)
-        reachable = distance.gather(0, above[None])[0] < CLIMBED
+        reachable = distance.gather(0, above[None])[0] < self.reach[above - 1]
         return torch.where(reachable, above, rung)
 
     def start(self, race: Race, cars: Tensor, generator: torch.Generator) -> None:
@@ -88,9 +101,9 @@ class Teacher:
 
 
 def find_teacher(build: Callable[[], Race]) -> Teacher:
-    """Return the teacher that climbs to the fastest lap without losing cars, races of the plain car built for trials.
+    """Return the teacher that brings cars to the fastest lap and holds them there, by trials in races of the plain car.
 
-    Raises OptimumError where it loses too many cars on all laps.
+    Raises OptimumError where it leaves too many cars behind, whatever lap is the top.
     """
     race = build()
     corridor = Corridor(race.track)
@@ -102,19 +115,19 @@ def find_teacher(build: Callable[[], Race]) -> Teacher:
         except OptimumError as error:
             failed = str(error)
             continue
-        share = lost(teacher, build())
-        if share <= MOST_LOST:
+        share = left_behind(teacher, build())
+        if share <= MOST_LEFT:
             return teacher
-        failed = f"{share:.0%} of the cars are lost, at most {MOST_LOST:.0%} may be"
+        failed = f"{share:.0%} of the cars are left behind, at most {MOST_LEFT:.0%} may be"
     raise OptimumError(f"algo = imitation: no feedback holds a lap of this car here ({failed}); use algo=ppo")
 
 
-def lost(teacher: Teacher, race: Race) -> float:
-    """Return the share of cars that leave the track or spin while the teacher drives them from a new race's starts."""
+def left_behind(teacher: Teacher, race: Race) -> float:
+    """Return the share of cars that leave the track or spin on the way from a new race's starts, or are not on top."""
     gone = torch.zeros(len(race.age), dtype=torch.bool, device=race.device)
     for _ in range(round(TRIAL / race.timing.dt)):
         gone |= race.step(teacher(race)).terminated
-    return float(gone.float().mean())
+    return float((gone | ~teacher.on_top(race)).float().mean())
 
 
 def _basin(feedback: Feedback) -> np.ndarray:

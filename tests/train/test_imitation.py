@@ -19,7 +19,7 @@ from racerl.optimum.corridor import Corridor
 from racerl.optimum.ladder import FULL, find_ladder
 from racerl.train.algorithms import create_algorithm
 from racerl.train.algorithms.imitation import Imitation
-from racerl.train.teacher import find_teacher, lost
+from racerl.train.teacher import CLIMBED, Teacher, find_teacher, left_behind
 from racerl.train.train import train
 
 FLOOR = 5.155  # s, the time-optimal lap of the default car on the default track
@@ -54,7 +54,7 @@ def test_the_teacher_climbs_to_the_fastest_lap(settings, teacher):
 
 def test_the_top_lap_is_the_fastest_that_the_feedback_holds(settings, monkeypatch):
     def tried(*shares):
-        """Return how many of three laps are climbed where trials lose these shares; None where no feedback is found."""
+        """Return how many of three laps are climbed where so many are left behind in trials; None: no feedback."""
         left = iter(shares)
 
         def teacher(race, corridor, laps):
@@ -65,11 +65,11 @@ def test_the_top_lap_is_the_fastest_that_the_feedback_holds(settings, monkeypatc
 
         monkeypatch.setattr("racerl.train.teacher.find_ladder", lambda *parts: ["slow", "quick", "fastest"])
         monkeypatch.setattr("racerl.train.teacher.Teacher", teacher)
-        monkeypatch.setattr("racerl.train.teacher.lost", lambda made, race: made[1])
+        monkeypatch.setattr("racerl.train.teacher.left_behind", lambda made, race: made[1])
         return find_teacher(lambda: build_race(settings, cars=1, seeds=[0]))[0]
 
     assert tried(0.05) == 3 and tried(0.8, 0.1) == 2 and tried(None, 1.0, 0.0) == 1
-    with pytest.raises(OptimumError, match=r"60% of the cars are lost.*algo=ppo") as error:
+    with pytest.raises(OptimumError, match=r"60% of the cars are left behind.*algo=ppo") as error:
         tried(0.9, None, 0.6)
     assert "\n" not in str(error.value)
 
@@ -111,12 +111,32 @@ class Rung:
     states = property(lambda self: np.full((len(self.problem.scale), 1), min(self.problem.fastest, 4.0)))
 
 
-def test_a_teacher_that_steers_nowhere_loses_the_cars(settings, teacher):
-    def nowhere(race):
+class Nowhere:
+    """A teacher that steers to the left, and thinks that all is well."""
+
+    def __call__(self, race):
         return torch.ones(len(race.age), 2)
 
-    assert lost(nowhere, build_race(settings, cars=16, seeds=[1])) > 0.9
-    assert lost(teacher, build_race(settings, cars=64, seeds=[1])) <= 0.1
+    def on_top(self, race):
+        return race.age >= 0
+
+
+def test_a_teacher_that_steers_nowhere_loses_the_cars(settings, teacher):
+    assert left_behind(Nowhere(), build_race(settings, cars=16, seeds=[1])) > 0.9
+    assert left_behind(teacher, build_race(settings, cars=64, seeds=[1])) <= 0.1
+
+
+def test_cars_come_to_the_top_over_laps_that_are_far_apart(settings, teacher, monkeypatch):
+    """Where all of a lap is too far from the one below, it is tried where it is nearest."""
+    monkeypatch.setattr("racerl.train.teacher.BASIN", 1.5)  # half of it: laps are four times as far apart
+    monkeypatch.setattr("racerl.train.teacher.BASIN_SPEED", 1.0)
+    race = build_race(settings, cars=64, seeds=[1])
+    far = Teacher(race, Corridor(race.track), teacher.laps[:4:3])
+    apart = ((far.states[1] - far.states[0]) / far.basin).square().sum(dim=1)
+    assert CLIMBED < apart.min() < far.reach[0] < apart.median()
+    assert left_behind(far, build_race(settings, cars=64, seeds=[1])) < 0.1
+    far.reach = torch.full_like(far.reach, CLIMBED)
+    assert left_behind(far, build_race(settings, cars=64, seeds=[1])) > 0.5
 
 
 def test_starts_near_the_fastest_lap_are_on_the_track(settings, teacher):
