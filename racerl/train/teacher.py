@@ -30,17 +30,25 @@ START_SPREAD = 1.0  # standard deviation of starts on the fastest lap, of the to
 class Teacher:
     """Actions for all cars of a race, by laps of rising pace on a corridor."""
 
-    def __init__(self, race: Race, corridor: Corridor, laps: Sequence[Solution]) -> None:
+    def __init__(
+        self,
+        race: Race,
+        corridor: Corridor,
+        laps: Sequence[Solution],
+        known: dict[tuple[int, float], Feedback] | None = None,
+    ) -> None:
+        """`known`: feedback that other teachers on some of these laps have worked out, by lap and seconds ahead."""
         width = float((race.track.width_left + race.track.width_right).min() / 2)
         self.laps = laps
         timing = race.timing
         # an action is held for a period, and the top lap's is taken from the middle of it; below, cars are caught
         # better without (of 128 random starts 9 leave the track instead of 38)
         ahead = [0.0] * (len(self.laps) - 1) + [timing.dt / 2]
-        rungs = [
-            regulate(lap, race.action, corridor, width, timing.dt, timing.substeps, early)
-            for lap, early in zip(self.laps, ahead, strict=True)
-        ]
+        known = {} if known is None else known
+        for lap, early in zip(laps, ahead, strict=True):
+            if (id(lap), early) not in known:
+                known[id(lap), early] = regulate(lap, race.action, corridor, width, timing.dt, timing.substeps, early)
+        rungs = [known[id(lap), early] for lap, early in zip(laps, ahead, strict=True)]
         self.line = LineFrame(corridor, race)
 
         def table(values: list[np.ndarray]) -> Tensor:
@@ -108,10 +116,10 @@ def find_teacher(build: Callable[[], Race]) -> Teacher:
     race = build()
     corridor = Corridor(race.track)
     laps = find_ladder(race.vehicle, race.track, race.action, corridor)
-    failed = ""
+    failed, known = "", dict[tuple[int, float], Feedback]()
     for height in range(len(laps), 0, -1):
         try:
-            teacher = Teacher(race, corridor, laps[:height])
+            teacher = Teacher(race, corridor, laps[:height], known)
         except OptimumError as error:
             failed = str(error)
             continue

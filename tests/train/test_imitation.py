@@ -57,7 +57,7 @@ def test_the_top_lap_is_the_fastest_that_the_feedback_holds(settings, monkeypatc
         """Return how many of three laps are climbed where so many are left behind in trials; None: no feedback."""
         left = iter(shares)
 
-        def teacher(race, corridor, laps):
+        def teacher(race, corridor, laps, known):
             share = next(left)
             if share is None:
                 raise OptimumError("no feedback found")
