@@ -122,9 +122,9 @@ def _winsorised(sums: Array) -> Array:
     return np.clip(sums, ordered[outer], ordered[-1 - outer]) if len(sums) > 2 * outer + 1 else sums
 
 
-def close(row: CandidateScore) -> bool:
-    """Return whether a candidate helps, and hardly less than the best of its round."""
-    return row.clear and row.behind < BEHIND
+def close(row: CandidateScore, best: CandidateScore) -> bool:
+    """Return whether a candidate helps as clearly as the best of its round, and hardly less."""
+    return row.clear >= best.clear and row.behind < BEHIND
 
 
 def equals(rows: Sequence[CandidateScore]) -> list[CandidateScore]:
@@ -138,7 +138,7 @@ def equals(rows: Sequence[CandidateScore]) -> list[CandidateScore]:
         slack = EQUAL if other.size <= best.size or other.behind < 0.0 else 0.0
         return other.explained - PARAMETER * other.size > best.explained - PARAMETER * best.size - slack
 
-    return [other for other in rows[1:] if close(other) and equal(other)]
+    return [other for other in rows[1:] if close(other, best) and equal(other)]
 
 
 @dataclass(frozen=True)
@@ -175,7 +175,7 @@ class Judge:
         if rows:
             alike = [row for row in rows if row.clear >= rows[0].clear and self.behind(rows[0], row, before) < SAME]
             first = max(alike, key=lambda row: row.explained - PARAMETER * row.size)
-            one = [row for row in rows if row is first or self.one(first, row)]
+            one = [row for row in rows if row is first or (self.one(first, row) and row.needed >= first.needed)]
             first = min(one, key=lambda row: row.name)
             rows = [first, *(row for row in rows if row is not first)]
         return [replace(row, behind=self.behind(rows[0], row, before)) for row in rows]

@@ -54,11 +54,11 @@ def carried(data: FitData, found: FittedModel) -> FittedModel:
     return found
 
 
-def passes_less_noise(judge: Judge, decision: Decision, best: CandidateScore) -> bool:
+def passes_less_noise(judge: Judge, decision: Decision, best: CandidateScore, errors: float = CLEAR) -> bool:
     """Return whether a candidate gains by passing on less of the measured inputs' noise, not by knowing the car.
 
     Soft tyres that lag, and a time shift that takes the lag back, smooth what drives a slow car.
     """
     noise = noise_cost(judge.investigation, best.found, judge.investigation.seed)
     passed = (judge.slope(stage, decision.cost[stage]) * (decision.noise[stage] - noise[stage]) for stage in noise)
-    return best.gain - sum(passed) < CLEAR * best.error
+    return best.gain - sum(passed) < errors * best.error

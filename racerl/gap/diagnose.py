@@ -19,7 +19,7 @@ from racerl.gap import residual
 from racerl.gap.catalogue import of_the_world, starts
 from racerl.gap.checkpoint import Checkpoint
 from racerl.gap.decision import Decision
-from racerl.gap.evidence import Evidence, channels_of
+from racerl.gap.evidence import COMMANDS, Evidence, channels_of
 from racerl.gap.fitted_model import COG, FittedModel
 from racerl.gap.investigation import Investigation, investigate
 from racerl.gap.locate import locate
@@ -47,7 +47,6 @@ PROGRAMME = (
 )
 NAMING, PROVING, LEARNING = (0.06, 0.7), 0.72, 0.75  # shares of the work: where each begins, and naming ends
 CLAIMS = ("named", "multiple", "ambiguous")
-COMMANDS = ("delta_ref", "omega_ref")
 
 
 def gap(settings: Mapping[str, Any], out: Path, on_progress: OnProgress = silent) -> dict[str, Any]:
@@ -77,7 +76,8 @@ def gap(settings: Mapping[str, Any], out: Path, on_progress: OnProgress = silent
         investigation = refit(evidence, logs, vehicle, settings, checkpoint)
         told["remarks"] += investigation.nominal.doubts()
         whole = chain(logs, settings)
-        facts, found = _steps(investigation, whole, settings, folder.path, told, on_progress)
+        missing = [name for name in COMMANDS if name not in channels_of(logs)]
+        facts, found = _steps(investigation, whole, settings, folder.path, told, missing, on_progress)
         _write_vehicle(folder.path / MODEL, settings, facts, investigation, found)
         _write_vehicle(folder.path / MODEL_BEFORE, settings, facts, investigation, investigation.base)
     write_json(folder.path / VERDICT, facts)
@@ -125,7 +125,7 @@ def refit(
     unknowns = choose_unknowns(vehicle, settings["priors"], settings["hold"], vehicle)
     without, limits = {*_list(settings["without"]), *vehicle.effects}, {}
     # one shift of all on-board channels is one of the motion capture, the other way; whichever is late has the name
-    if channels_of(logs) & set(POSE):
+    if set(POSE) <= channels_of(logs):
         limits["effects.command_timestamp_offset.latency"] = (0.0, 0.2)
     else:
         without |= set(_unseen())
@@ -158,6 +158,7 @@ def _steps(
     settings: Mapping[str, Any],
     folder: Path,
     told: Mapping[str, Any],
+    missing: Sequence[str],
     on_progress: OnProgress,
 ) -> tuple[dict[str, Any], FittedModel]:
     """Carry out the four steps; return the verdict's document and the refitted vehicle with what was named."""
@@ -172,7 +173,6 @@ def _steps(
     on_progress("prove", PROVING)
     proof = prove(investigation, decision.found)
     write_json(folder / PROOF, proof)
-    missing = sorted({name for each in told["untestable"].values() for name in COMMANDS if name in each})
     facts = {
         "verdict": verdict.kind,
         "reason": verdict.reason,
@@ -294,7 +294,7 @@ def _unseen() -> list[str]:
 
 def _untestable(evidence: Mapping[str, Evidence], channels: Collection[str]) -> dict[str, str]:
     """Return the stages, and the effects, that the logs' channels or their shortness leave untested."""
-    unseen = [] if set(channels) & set(POSE) else _unseen()
+    unseen = [] if set(POSE) <= set(channels) else _unseen()
     return dict.fromkeys(unseen, f"needs {', '.join(POSE)}") | {
         stage.name: f"needs {', '.join((*stage.inputs, stage.outputs[0]))} over {FEWEST} windows or more"
         for stage in stages(channels)

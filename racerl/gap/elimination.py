@@ -11,7 +11,7 @@ import numpy as np
 
 from racerl.gap.candidates import add, everywhere, joined, without
 from racerl.gap.catalogue import PLACE, neutral, placed
-from racerl.gap.comparison import CandidateScore, Judge, close
+from racerl.gap.comparison import STAYS, CandidateScore, Judge, close
 from racerl.gap.decision import Decision, carried, changed, passes_less_noise
 from racerl.gap.evidence import Evidence
 from racerl.gap.investigation import Investigation
@@ -44,11 +44,12 @@ def _judged_again(judge: Judge, decision: Decision, name: str) -> Decision:
         return lacking
     first, *rest = decision.kept[name]
     same = [row for row in rest if judge.one(first, row)]  # fits of one model: what holds for one holds for all
-    near = [row for row in rest if close(row) and row.name not in others and row not in same]
+    near = [row for row in rest if close(row, first) and row.name not in others and row not in same]
     rivals = investigation.workers.each(lambda row: _instead(judge, lacking, row), near)
-    sound = [rival for rival in rivals if rival.stays and not passes_less_noise(judge, lacking, rival)]
-    alike = [replace(own, name=row.name, found=row.found) for row in same]
-    rows = judge.ranked([own, *alike, *sound], lacking.cost)
+    sound = [rival for rival in rivals if rival.stays and not passes_less_noise(judge, lacking, rival, STAYS)]
+    rows = judge.ranked([own, *sound], lacking.cost)
+    if rows[0].name == name:
+        rows[1:1] = [replace(rows[0], name=row.name) for row in same]
     kept = dict((rows[0].name, rows) if other == name else (other, kept) for other, kept in decision.kept.items())
     if rows[0].name == name:
         return replace(decision, kept=kept)
@@ -89,5 +90,5 @@ def _nowhere(name: str, ranges: Mapping[str, tuple[float, float, float]], eviden
     """Return whether the interval of an effect's place is as wide as the floor that was driven on."""
     if not placed(name):
         return False
-    wide = {axis: np.subtract(*ranges[f"effects.{name}.{axis}"][:0:-1]) for axis in PLACE}
-    return any(wide[axis] >= np.ptp(evidence["chassis"].columns[axis]) for axis in PLACE)
+    known = {axis: ranges[f"effects.{name}.{axis}"] for axis in PLACE}
+    return any(high - low >= np.ptp(evidence["chassis"].columns[axis]) for axis, (_, low, high) in known.items())

@@ -109,7 +109,7 @@ class Teacher:
 
 
 def find_teacher(build: Callable[[], Race]) -> Teacher:
-    """Return the teacher that brings cars to the fastest lap and holds them there, by trials in races of the plain car.
+    """Return the teacher that brings cars to the fastest lap without losing them, by trials in races of the plain car.
 
     Raises OptimumError where it leaves too many cars behind, whatever lap is the top.
     """

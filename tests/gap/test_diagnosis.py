@@ -304,7 +304,7 @@ def test_effects_are_judged_again_beside_those_found_after_them(monkeypatch, sha
         row = {
             "explained": part,
             "gain": part,
-            "needed": part > 0.04,
+            "needed": False,
             "stays": part > 0.04,
             "clear": True,
             "size": 1,
@@ -511,8 +511,13 @@ def test_of_effects_that_are_one_the_first_by_name_stands_for_all():
             row("aero_drag", 130.0, 0.3),
         ]
         ranked = judge.ranked(rows, before)
-        assert [each.name for each in ranked[:2]] == names[:2] and ranked[1].behind == 0.0 and close(ranked[1])
+        assert (
+            [each.name for each in ranked[:2]] == names[:2] and ranked[1].behind == 0.0 and close(ranked[1], ranked[0])
+        )
         assert ranked[2].behind > 3.0
+    # one that is not needed stands for none, whatever its name
+    weak = dataclasses.replace(row("steering_offset", 195.0, 0.03), error=5.0)
+    assert judge.ranked([weak, row("steering_sensor_offset", 193.0, 0.07)], before)[0].name == "steering_sensor_offset"
     # one that explains far less is no twin: its fit did not end where the other's did
     apart = judge.ranked([row("steering_offset", 150.0, 0.25), row("steering_sensor_offset", 100.0, 0.5)], before)
     assert apart[0].name == "steering_sensor_offset" and apart[1].behind > 3.0

@@ -77,10 +77,14 @@ def test_the_top_lap_is_the_fastest_that_the_feedback_holds(settings, monkeypatc
 def test_a_lap_that_is_not_found_is_left_out(settings, monkeypatch):
     """The teacher climbs over the gap; without any lap that nothing limits there is none."""
 
+    begun = []
+
     def found(impossible):
         def solve(problem, guess):
             if impossible(problem):
                 raise OptimumError("no lap found")
+            if isinstance(guess, Rung):
+                begun.append((guess.problem.fastest, problem.fastest))
             return Rung(problem)
 
         monkeypatch.setattr(Collocation, "solve", solve)
@@ -91,6 +95,8 @@ def test_a_lap_that_is_not_found_is_left_out(settings, monkeypatch):
     laps = found(lambda problem: 2.5 < problem.fastest < 3.5)
     assert [lap.time for lap in laps] == sorted((lap.time for lap in laps), reverse=True)
     assert len(laps) == len(found(lambda problem: False)) - 2
+    limited = [pair for pair in begun if pair[1] < np.inf]
+    assert limited and all(slower < faster for slower, faster in limited)  # each begins at the lap below it
     assert len(found(lambda problem: problem.fastest < np.inf)) == len(FULL)
     careful = laps[0].room
     assert (
@@ -105,7 +111,7 @@ class Rung:
     """A lap at the fastest speed that its problem allows, 4 m/s at most, and slower with more room."""
 
     problem: Collocation
-    guess = None
+    guess = property(lambda self: self)
     room = property(lambda self: self.problem.room)
     time = property(lambda self: 20.0 / min(self.problem.fastest, 4.0) + self.problem.room)
     states = property(lambda self: np.full((len(self.problem.scale), 1), min(self.problem.fastest, 4.0)))

@@ -75,7 +75,8 @@ class Imitation:
         race = build(session.settings)
         session.start()
         # a lap at the limit is beyond a car with less grip, however good its feedback: trials are of the plain car
-        plain = {**session.settings, "dr": {"sigma": 0.0, "parameters": []}}
+        unlimited = {**session.settings["sim"], "max_steps": 2**31}
+        plain = {**session.settings, "dr": {"sigma": 0.0, "parameters": []}, "sim": unlimited}
         teacher = find_teacher(lambda: build(plain))
         torch.manual_seed(session.seed)
         network = build_network([race.observation.size, *self.layers, 2]).to(session.device)
