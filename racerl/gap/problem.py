@@ -231,20 +231,26 @@ class Problem:
     def covariance(self, fit: Fit, blocks: Sequence[NDArray[np.int64]]) -> Array:
         """Return the covariance of θ (N, N), robust against errors that are alike within blocks of windows.
 
-        A⁻¹ (M + Σ_b g_b g_bᵀ) A⁻¹ with A = H + λ/s², g_b the gradient of a block and M = max(1, d²) λ²/s², what a prior
-        draws by: its mean is as unsure as s says, or as far as the fit has gone from it, d = (θ − θ_0)/s.
+        Σ_b Δ_b Δ_bᵀ + A⁻¹ M A⁻¹ with A = H + λ/s². Δ_b = (A − H_b)⁻¹ (g_b − ḡ) is how far θ moves without block b (the
+        jackknife: where few blocks tell of a parameter, the fit follows them, and their gradients come out small).
+        M = max(1, d²) λ²/s² is what a prior draws by: its mean is as unsure as s says, or as far as the fit has gone
+        from it, d = (θ − θ_0)/s.
         """
         reduced = fit.reduced()
         H, _ = self._total(reduced)
-        inverse = np.linalg.inv(H + np.diag(self.scale**-2.0))
+        stiffness = H + np.diag(self.scale**-2.0)
         sigma = np.array([unknown.sigma for unknown in self.unknowns])
-        meat = np.diag((unsure((self._vector(fit) - self.mean) / sigma) * sigma / self.scale**2) ** 2)
-        for stage, (_, slope), block in zip(self.stages, reduced, blocks, strict=True):
+        drawn = np.linalg.inv(stiffness) * unsure((self._vector(fit) - self.mean) / sigma) * sigma / self.scale**2
+        covariance: Array = drawn @ drawn.T
+        for stage, (part, slope), block in zip(self.stages, reduced, blocks, strict=True):
             place = self.places(stage)
             sums = np.stack([np.bincount(block, column) for column in slope.T], axis=1)  # (B, N)
-            sums -= sums.mean(axis=0)
-            meat[np.ix_(place, place)] += sums.T @ sums
-        covariance: Array = inverse @ meat @ inverse
+            for number, gradient in enumerate(sums - sums.mean(axis=0)):
+                others, whole = stiffness.copy(), np.zeros(len(stiffness))
+                others[np.ix_(place, place)] -= part[block == number].sum(axis=0)
+                whole[place] = gradient
+                moved = np.linalg.solve(others, whole)
+                covariance += np.outer(moved, moved)
         return covariance
 
 

@@ -374,6 +374,23 @@ def test_intervals_reach_a_truth_that_the_prior_did_not_expect():
     assert np.mean(pulled) > 0.2 and 0.9 < np.mean(inside) < 1.0
 
 
+def test_what_one_block_tells_is_known_no_better_than_its_own_noise():
+    """The fit follows a block that alone tells of a parameter: its gradient is small, and says nothing of its error."""
+    inside = []
+    for seed in range(60):
+        dice = np.random.default_rng(seed)
+        J = dice.standard_normal((24, 5, 2))
+        J[1:, :, 1] *= 0.02
+        y = dice.standard_normal((24, 5)) + 2.0 * dice.standard_normal((24, 1)) * J[:, :, 1]  # errors hang together
+        problem = Problem([SimpleNamespace(names=["a", "b"])], [Unknown(n, 0.0, 9.0, -99.0, 99.0) for n in "ab"])
+        H = np.einsum("wni,wnj->wij", J, J)
+        theta = np.linalg.solve(H.sum(axis=0) + np.eye(2) / 81.0, np.einsum("wni,wn->i", J, y))
+        slope = np.einsum("wni,wn->wi", J, J @ theta - y)
+        fit = SimpleNamespace(theta=problem.named(theta), reduced=lambda H=H, slope=slope: [(H, slope)])
+        inside.append(np.abs(theta) < 1.96 * np.sqrt(np.diag(problem.covariance(fit, [np.arange(24)]))))
+    assert (np.mean(inside, axis=0) > 0.75).all()
+
+
 @needs_compiler
 def test_a_hidden_effect_is_named_and_measured(damped):
     decision = name_effects(investigate(damped, "yaw_damping", "aero_drag", "steering_delay", "wheel_speed_gain"))
