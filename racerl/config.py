@@ -171,6 +171,7 @@ def _rewrite(command: str, arguments: Sequence[str], positional: str | None) -> 
     overrides: list[str] = []
     bare: list[str] = []
     groups = set(default_groups(command))
+    filed = {group for group in FILE_GROUPS if any(_names_file(word, group) for word in arguments)}
     words = iter(arguments)
     for word in words:
         if word.startswith("-"):
@@ -189,21 +190,30 @@ def _rewrite(command: str, arguments: Sequence[str], positional: str | None) -> 
         elif "=" not in word and not word.startswith("~"):
             raise ConfigError(f"'{word}' is no override; write key=value, for instance dr=friction_0.02")
         else:
-            overrides += _rewrite_override(word, groups)
+            overrides += _rewrite_override(word, groups, filed)
     if bare and positional:
         overrides.append(_bare_override(positional, bare))
     return [*options, *overrides]
 
 
-def _rewrite_override(word: str, groups: set[str]) -> Iterator[str]:
+def _names_file(word: str, group: str) -> bool:
+    """Return whether an override gives a group a file."""
+    key, _, value = word.partition("=")
+    return key.lstrip("+") == group and value.lower().endswith(FILE_GROUPS[group])
+
+
+def _rewrite_override(word: str, groups: set[str], filed: Collection[str]) -> Iterator[str]:
+    """Yield Hydra's words for one of the user's; the keys of the groups `filed` are those of a file."""
     key, _, value = word.partition("=")
     group = key.lstrip("+")
     if group in groups and value == "null":
         raise ConfigError(f"{word}: a choice of conf/{group} is expected; leave the word out for the usual one")
-    if group in FILE_GROUPS and value.lower().endswith(FILE_GROUPS[group]):
+    if group in FILE_GROUPS and _names_file(word, group):
         _require_file(group, value)
         yield f"{group}=file"
         yield f"{group}.file={quote(value)}"
+    elif group.partition(".")[0] in filed and "." in group and not key.startswith("~"):
+        yield f"++{word.lstrip('+')}"  # Hydra does not know what the file holds; whoever reads it says what is not there
     else:
         yield word.lstrip("+") if group in groups else word
 

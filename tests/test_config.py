@@ -6,13 +6,15 @@ from racerl import registry
 from racerl.assemble import build_race
 from racerl.choices import default_groups
 from racerl.config import compose_settings, make_env, run_command
-from racerl.errors import ConfigError, RacerlError
+from racerl.errors import ConfigError, RacerlError, TrackError, VehicleError
 from racerl.identify import methods
 from racerl.record.drivers import create_driver
 from racerl.registry import construct
 from racerl.train.algorithms import create_algorithm
 from racerl.train.ppo import Budget
 from racerl.vehicle import kernel
+from racerl.vehicle.load import load_vehicle
+from racerl.vehicle.parameter import replace_values
 from tests.conftest import CONF
 
 GROUPS = ("vehicle", "track", "sim", "obs", "action", "dr", "algo", "budget")
@@ -122,6 +124,21 @@ def test_files_stand_for_tracks_and_vehicles(tmp_path, monkeypatch):
     settings = compose_settings("train", ["track=my track's.csv", f"vehicle={tmp_path}/model.yaml"])
     race = build_race(settings, cars=1, seeds=[0])
     assert race.vehicle.mass == 4.4 and race.track.name == "my track's"
+
+
+def test_what_a_file_says_is_overridden_like_a_group(tmp_path, monkeypatch):
+    (tmp_path / "model.yaml").write_text((CONF / "vehicle" / "f1tenth.yaml").read_text())
+    monkeypatch.chdir(tmp_path)
+    words = ["vehicle.friction=0.5", "vehicle=model.yaml", "+vehicle.front.p_Dy1=0.9"]  # in any order, with + or without
+    vehicle = load_vehicle(compose_settings("gap", ["logs=[a.csv]", *words])["vehicle"])
+    usual = load_vehicle(compose_settings("gap", ["logs=[a.csv]", "vehicle=f1tenth"])["vehicle"])
+    assert vehicle == replace_values(usual, {"friction": 0.5, "front.p_Dy1": 0.9}) != usual
+    wrong = compose_settings("train", ["vehicle=model.yaml", "vehicle.fricton=0.5"])["vehicle"]
+    with pytest.raises(VehicleError, match="no parameter 'fricton'; did you mean friction"):
+        load_vehicle(wrong)
+    settings = compose_settings("train", ["track=l_shape.csv", "track.width=2"])
+    with pytest.raises(TrackError, match=r"track\.width: a centreline has no settings"):
+        build_race(settings, cars=1, seeds=[0])
 
 
 def test_a_conf_folder_here_shadows_the_packaged_one(tmp_path, monkeypatch):

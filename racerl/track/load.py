@@ -7,6 +7,7 @@ ROS map set                     `map.yaml` (image, resolution, origin, …), its
 """
 
 import logging
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
 from racerl.documents import inside, read_text, read_yaml
-from racerl.errors import DocumentError, TrackError
+from racerl.errors import DocumentError, TrackError, suggest
 from racerl.track.track import Array, Track, build_track
 
 log = logging.getLogger(__name__)
@@ -26,19 +27,25 @@ SWAP_EVIDENCE = 0.05  # m of mean misfit by which swapped widths must fit better
 
 
 def load_track(settings: dict[str, Any], folder: Path) -> Track:
-    """Load the track whose `file` the settings name, looked for here and then in `folder`."""
+    """Load the track whose `file` the settings name, looked for here and then in `folder`.
+
+    Further settings go before a map's own; a centreline has none.
+    """
     if "file" not in settings:
         raise TrackError("track: has no 'file'; give a centreline .csv or a map .yaml")
     path = Path(str(settings["file"]))
-    return read_track(path if path.exists() else folder / path)
+    return read_track(path if path.exists() else folder / path, {k: v for k, v in settings.items() if k != "file"})
 
 
-def read_track(path: Path) -> Track:
-    """Read a centreline CSV or a ROS map yaml; raise TrackError or DocumentError."""
+def read_track(path: Path, changes: Mapping[str, Any] | None = None) -> Track:
+    """Read a centreline CSV or a ROS map yaml, with some of the map's settings changed; TrackError or DocumentError."""
     if not path.is_file():
         raise TrackError(f"track {path}: no such file; give a centreline .csv or a map .yaml")
+    changes = changes or {}
     if path.suffix.lower() in (".yaml", ".yml"):
-        return _read_map(path)
+        return _read_map(path, changes)
+    if changes:
+        raise TrackError(f"track.{next(iter(changes))}: a centreline has no settings; only those of a map .yaml can be set")
     points, width_right, width_left = _read_centreline(path)
     return build_track(path.stem, points, width_right, width_left)
 
@@ -65,8 +72,12 @@ def _read_centreline(path: Path) -> tuple[Array, Array, Array]:
     return table[:, :2], table[:, 2], table[:, 3]
 
 
-def _read_map(path: Path) -> Track:
+def _read_map(path: Path, changes: Mapping[str, Any]) -> Track:
     settings = read_yaml(path)
+    for key in changes:
+        if key not in settings:
+            raise TrackError(f"track {path}: has no '{key}'{suggest(key, settings)}")
+    settings |= changes
     centrelines = sorted({*path.parent.glob("*centerline*.csv"), *path.parent.glob("*centreline*.csv")})
     own = [file for file in centrelines if file.stem.startswith(path.stem.removesuffix("_map"))]
     if not centrelines:

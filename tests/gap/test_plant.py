@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.gap.plant import cars, effects, sensors, tyre
+from tests.gap.plant import cars, effects, families, sensors, tyre
 from tests.gap.plant.batch import key, simulate
-from tests.gap.plant.car import Plant
+from tests.gap.plant.car import SLIPS, Plant
 from tests.gap.plant.cases import SETS, Case, Choice
 from tests.gap.plant.effects import CATALOGUE, UNLISTED
 from tests.gap.plant.programmes import Run, bowl
@@ -98,6 +98,35 @@ def test_tyre_is_odd_and_weakened_by_the_other_slip():
     assert np.allclose(tyre.forces(curves, -slip), -both)
     assert (both[1] < pure_y[1]).all()
     assert (pure_y[1] < curves.peak[1]).all()
+
+
+@pytest.mark.parametrize("family", families.FAMILIES)
+def test_tyres_of_other_families_share_stiffness_and_peak(family):
+    """The same stiffness and peak as the Magic Formula's, and no force beyond the ellipse of the peaks."""
+    wheels, forces = Plant(published(1)).wheels, families.forces_of(family)
+    curves = wheels.tyre.curves(wheels.load, np.full((2, 1), 0.8))
+    one = np.ones((2, 2, 1))
+    only_x, only_y = one * [[[1.0]], [[0.0]]], one * [[[0.0]], [[1.0]]]
+    slope = (forces(curves, 1e-5 * only_x) + forces(curves, 1e-5 * only_y)) / 1e-5
+    magic = (tyre.forces(curves, 1e-5 * only_x) + tyre.forces(curves, 1e-5 * only_y)) / 1e-5
+    assert np.allclose(slope, magic, rtol=1e-3)
+    slips = np.array([forces(curves, s * only_y)[1] / curves.peak[1] for s in np.linspace(0.0, 8.0, 200)])
+    assert slips.max() == pytest.approx(1.0, abs=0.03) and (np.diff(slips[:20], axis=0) > 0.0).all()
+    slip = np.random.default_rng(0).uniform(-1.0, 1.0, (500, 2, 2, 1))
+    ends = np.array([forces(curves, each) / curves.peak for each in slip])
+    assert (np.hypot(ends[:, 0], ends[:, 1]) < 1.03).all()
+    assert np.allclose([forces(curves, -each) / curves.peak for each in slip], -ends)
+
+
+def test_cars_on_other_tyres_and_slips_are_other_cars():
+    def end(**kind):
+        return log_of(Plant(published(1), **kind), run_of(3.0, 2.5, lively(1.0, 1)))["yaw"][-1, 0]
+
+    usual = end()
+    others = [end(family=family) for family in families.FAMILIES] + [end(slip="surface"), end(slip="larger")]
+    assert min(abs(other - usual) for other in others) > 0.02
+    gentle = [log_of(Plant(published(1), slip=slip), run_of(1.0, 1.0, held(0.05, 1.0)))["yaw"][-1, 0] for slip in SLIPS]
+    assert gentle == pytest.approx([gentle[0]] * 3, rel=1e-3)  # slips over any speed are alike where they are small
 
 
 def test_halving_the_step_changes_little():

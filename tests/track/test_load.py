@@ -96,6 +96,14 @@ def test_wrong_maps_are_refused(tmp_path, changes, said):
     assert "\n" not in str(error.value)
 
 
+def test_a_maps_settings_are_overridden(tmp_path):
+    path = write_map(tmp_path, resolution=0)  # refused as it is
+    track = load_track({"file": str(path), "resolution": RESOLUTION}, tmp_path)
+    assert np.allclose(track.width_left, 0.8)
+    with pytest.raises(TrackError, match="no 'resolutoin'; did you mean resolution"):
+        load_track({"file": str(path), "resolutoin": RESOLUTION}, tmp_path)
+
+
 def test_a_map_needs_one_centreline_and_an_image(tmp_path):
     path = write_map(tmp_path)
     write_csv(tmp_path / "ring_centerline_2.csv")

@@ -12,8 +12,10 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from tests.gap.plant.batch import batches, key, simulate
+from tests.gap.plant.car import SLIPS
 from tests.gap.plant.cases import SETS, Case, Choice
 from tests.gap.plant.effects import ALL, SIZES
+from tests.gap.plant.families import MAGIC_FORMULA, TYRES
 from tests.gap.plant.programmes import PROGRAMMES
 
 
@@ -46,6 +48,8 @@ def _chosen(options: argparse.Namespace) -> list[Case]:
         minutes=options.minutes,
         direction=options.direction,
         velocities=options.velocities,
+        family=options.tyre,
+        slip=options.slip,
     )
     cases = [case for name in options.set for case in SETS[name](choice)]
     return sorted(cases, key=lambda case: case.name)[: options.limit]
@@ -63,6 +67,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--minutes", type=float, help="length of each log; the programme's own if not given")
     parser.add_argument("--direction", choices=("both", "one"), default="both", help="ways round in the race")
     parser.add_argument("--velocities", choices=("measured", "differentiated"), default="measured")
+    parser.add_argument("--tyre", choices=TYRES, default=MAGIC_FORMULA, help="the tyres' family")
+    parser.add_argument("--slip", choices=tuple(SLIPS), default="centre", help="whose speed slips are over")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--limit", type=int, help="at most so many cases")
     parser.add_argument("--batch", type=int, default=64, help="cars simulated side by side")

@@ -18,7 +18,7 @@ Logs = list[tuple[Array, dict[str, Array]]]
 
 
 def batches(cases: Sequence[Case], size: int) -> Iterator[list[Case]]:
-    """Cases of one programme, structure, length and direction, at most `size` at a time, like effects together."""
+    """Cases of one programme, structure, length, direction and tyre, at most `size` at a time, like effects together."""
     for _, group in groupby(sorted(cases, key=lambda case: (_kind(case), case.effects, case.name)), key=_kind):
         alike = list(group)
         yield from (alike[i : i + size] for i in range(0, len(alike), size))
@@ -29,7 +29,7 @@ def simulate(batch: Sequence[Case]) -> list[pd.DataFrame]:
     first, programme = batch[0], PROGRAMMES[batch[0].programme]
     parameters = cars.stack([case.car() for case in batch])
     hidden = effects.build([case.values() for case in batch])
-    plant = Plant(parameters, hidden, first.structure, programme.lean)
+    plant = Plant(parameters, hidden, first.structure, programme.lean, family=first.family, slip=first.slip)
     runs = programme.runs(parameters, [case.generator(2) for case in batch], first.length, first.direction)
     logs = drive(plant, runs)
     return [_logged(case, logs, i) for i, case in enumerate(batch)]
@@ -49,13 +49,15 @@ def key(case: Case) -> dict[str, object]:
         "direction": case.direction,
         "velocities": case.velocities,
         "seed": case.seed,
+        "tyre": case.family,
+        "slip": case.slip,
         "car": case.car(),
     }  # fmt: skip
 
 
-def _kind(case: Case) -> tuple[str, str, float, str]:
+def _kind(case: Case) -> tuple[str, str, float, str, str, str]:
     """What the cases of a batch have in common."""
-    return case.programme, case.structure, case.length, case.direction
+    return case.programme, case.structure, case.length, case.direction, case.family, case.slip
 
 
 def _logged(case: Case, logs: Logs, car: int) -> pd.DataFrame:

@@ -1,4 +1,4 @@
-"""The hidden car: a rigid body on two or four Magic Formula wheels, many cars at once, integrated by Heun at 1 kHz.
+"""The hidden car: a rigid body on two or four wheels, many cars at once, integrated by Heun at 1 kHz.
 
 m (v̇_x − r v_y) = Σ F_x,   m (v̇_y + r v_x) = Σ F_y,   I_z ṙ = Σ (X_i F_y,i − Y_i F_x,i)
 drag: −c₀ tanh(v_x/0.1) − c₁ v_x − c₂ v_x|v_x|;   δ̇ = (δ_ref − δ)/T_δ,   ω̇ = (ω_ref − ω)/T_ω
@@ -15,6 +15,7 @@ import numpy as np
 
 from tests.gap.plant import tyre
 from tests.gap.plant.effects.base import GRAVITY, Effect
+from tests.gap.plant.families import MAGIC_FORMULA, forces_of
 from tests.gap.plant.tyre import Array, Curves, Tyre
 
 TRACK_WIDTH = 0.2  # m, of the two-track car
@@ -23,6 +24,12 @@ N_BODY = 8  # rows of the state that every car has
 HOOKS = (
     "tick", "command", "road_wheel", "surface", "loads", "grip", "forces", "body", "servo", "motor", "rates",
 )  # fmt: skip
+
+SLIPS: dict[str, Callable[[Array, Array], Array]] = {
+    "centre": lambda V_x, omega: V_x,
+    "surface": lambda V_x, omega: np.broadcast_to(omega, V_x.shape),
+    "larger": lambda V_x, omega: np.maximum(np.abs(V_x), np.abs(omega)),
+}
 
 Lean = Callable[[Array, Array], Array]
 
@@ -128,7 +135,11 @@ class Now:
 
 
 class Plant:
-    """B cars with their effects, driven by `advance`; `structure` is single_track or two_track."""
+    """B cars with their effects, driven by `advance`.
+
+    `structure` is single_track or two_track, `family` that of the tyres, `slip` the speed that slips are over: of the
+    wheel's centre, of its surface, or the larger one.
+    """
 
     def __init__(
         self,
@@ -137,10 +148,13 @@ class Plant:
         structure: str = "single_track",
         lean: Lean = flat,
         dt: float = 1e-3,
+        family: str = MAGIC_FORMULA,
+        slip: str = "centre",
     ) -> None:
         if structure not in ("single_track", "two_track"):
             raise ValueError(f"no structure {structure!r}; known: single_track, two_track")
-        self.dt, self.lean = dt, lean
+        self.dt, self.lean, self.slip = dt, lean, SLIPS[slip]
+        self.forces = forces_of(family)
         self.n_cars = len(cars["mass"])
         self.cars = dict(cars) | {"centre_line": np.zeros(self.n_cars)}
         for effect in effects:
@@ -216,7 +230,7 @@ class Plant:
         self._roll(now)
         if self.changes_grip:
             self._load(now)
-        force = tyre.forces(now.curves, now.slip)
+        force = self.forces(now.curves, now.slip)
         for effect in self.hooks["forces"]:
             force = effect.forces(now, force)
         now.force = force
@@ -238,7 +252,7 @@ class Plant:
             speed = np.broadcast_to(speed, cos.shape)
             for effect in self.hooks["surface"]:
                 speed = effect.surface(now, speed)
-        now.reference = tyre.slip_speed(now.V_x)
+        now.reference = tyre.slip_speed(self.slip(now.V_x, speed))
         slip = np.empty((2, *cos.shape))
         slip[0], slip[1] = speed - now.V_x, -now.V_y
         slip /= now.reference

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import combinations, product
 
 import numpy as np
 
 from tests.gap.plant import cars, effects
 from tests.gap.plant.effects import CATALOGUE, SIZES, UNLISTED
+from tests.gap.plant.families import MAGIC_FORMULA
 from tests.gap.plant.programmes import PROGRAMMES
 
 Hidden = tuple[tuple[str, str], ...]  # (effect, size)
@@ -45,11 +46,14 @@ class Case:
     velocities: str = "measured"  # or differentiated from the pose
     number: int = 0  # tells repetitions apart
     seed: int = 1
+    family: str = field(default=MAGIC_FORMULA, repr=False)  # of the tyres
+    slip: str = field(default="centre", repr=False)  # the speed that slips are over
 
     @property
     def name(self) -> str:
         """An opaque name."""
-        return hashlib.sha256(repr(self).encode()).hexdigest()[:12]
+        own = "" if (self.family, self.slip) == (MAGIC_FORMULA, "centre") else f" on {self.family}, {self.slip}"
+        return hashlib.sha256(f"{self}{own}".encode()).hexdigest()[:12]
 
     @property
     def length(self) -> float:
@@ -82,6 +86,8 @@ class Choice:
     minutes: float | None = None
     direction: str = "both"
     velocities: str = "measured"
+    family: str = MAGIC_FORMULA
+    slip: str = "centre"
 
     def case(
         self, name: str, hidden: Hidden, programme: str, noise: float, number: int = 0, structure: str = "single_track"
@@ -98,6 +104,8 @@ class Choice:
             velocities=self.velocities,
             number=number,
             seed=self.seed,
+            family=self.family,
+            slip=self.slip,
         )
 
 

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from tests.gap.plant import tyre
 from tests.gap.plant.effects.base import DelayLine, Effect, three
 from tests.gap.plant.tyre import Array
 
@@ -168,12 +167,15 @@ class LockedDifferential(Effect):
     units: ClassVar = {"track_width": "m"}
     sizes = three(track_width=(0.10, 0.20, 0.30))
 
+    def attach(self, plant: Plant) -> None:
+        self.forces_of = plant.forces
+
     def body(self, now: Now, wrench: Array) -> Array:
         width = self.gate * self.p["track_width"]
         apart = np.zeros_like(now.slip)
         apart[0] = 0.5 * now.r * width / now.reference
-        inner = tyre.forces(now.curves, now.slip + apart)[0, now.n_front :]
-        outer = tyre.forces(now.curves, now.slip - apart)[0, now.n_front :]
+        inner = self.forces_of(now.curves, now.slip + apart)[0, now.n_front :]
+        outer = self.forces_of(now.curves, now.slip - apart)[0, now.n_front :]
         wrench[2] -= 0.25 * width * (inner - outer).sum(0)
         return wrench
 
