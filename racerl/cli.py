@@ -506,7 +506,9 @@ def _plan(settings: "Settings", out: Path) -> None:
 
 
 def _print_verdict(console: Any, facts: dict[str, Any]) -> None:
-    lines = [f"verdict: {facts['verdict']}: {facts['reason']}"]
+    from racerl.report.gap_page import numbers_told
+
+    lines = [*numbers_told(facts["configured"]), f"verdict: {facts['verdict']}: {facts['reason']}"]
     for effect in facts["effects"]:
         for name, p in effect["parameters"].items():
             interval = f"{p['ci95'][0]:.4g} … {p['ci95'][1]:.4g}"

@@ -213,7 +213,7 @@ def _rewrite_override(word: str, groups: set[str], filed: Collection[str]) -> It
         yield f"{group}=file"
         yield f"{group}.file={quote(value)}"
     elif group.partition(".")[0] in filed and "." in group and not key.startswith("~"):
-        yield f"++{word.lstrip('+')}"  # Hydra does not know what the file holds; whoever reads it says what is not there
+        yield f"++{word.lstrip('+')}"  # Hydra does not know what the file holds; whoever reads it does
     else:
         yield word.lstrip("+") if group in groups else word
 

@@ -129,7 +129,7 @@ def test_files_stand_for_tracks_and_vehicles(tmp_path, monkeypatch):
 def test_what_a_file_says_is_overridden_like_a_group(tmp_path, monkeypatch):
     (tmp_path / "model.yaml").write_text((CONF / "vehicle" / "f1tenth.yaml").read_text())
     monkeypatch.chdir(tmp_path)
-    words = ["vehicle.friction=0.5", "vehicle=model.yaml", "+vehicle.front.p_Dy1=0.9"]  # in any order, with + or without
+    words = ["vehicle.friction=0.5", "vehicle=model.yaml", "+vehicle.front.p_Dy1=0.9"]  # in any order, + or not
     vehicle = load_vehicle(compose_settings("gap", ["logs=[a.csv]", *words])["vehicle"])
     usual = load_vehicle(compose_settings("gap", ["logs=[a.csv]", "vehicle=f1tenth"])["vehicle"])
     assert vehicle == replace_values(usual, {"friction": 0.5, "front.p_Dy1": 0.9}) != usual

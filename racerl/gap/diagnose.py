@@ -1,5 +1,6 @@
 """`racerl gap`: locate, name, add, prove. Each step leaves its own JSON; an interrupted run goes on behind its fits."""
 
+import fnmatch
 import re
 import time
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -24,6 +25,7 @@ from racerl.gap.fitted_model import COG, FittedModel
 from racerl.gap.investigation import Investigation, investigate
 from racerl.gap.locate import locate
 from racerl.gap.naming import name_effects
+from racerl.gap.numbers import Numbers, as_configured, wrong_numbers
 from racerl.gap.progress import OnProgress, silent, within
 from racerl.gap.prove import prove
 from racerl.gap.stage import CHAIN, Stage, stages
@@ -34,7 +36,7 @@ from racerl.identify.uncertainty import IDENTIFIED
 from racerl.run import RunFolder
 from racerl.vehicle import catalogue
 from racerl.vehicle.load import load_vehicle, vehicle_document
-from racerl.vehicle.parameter import specifications
+from racerl.vehicle.parameter import specifications, values
 from racerl.vehicle.vehicle import Vehicle
 
 LOCATE, NAME, PROOF, VERDICT, MODEL = "locate.json", "name.json", "prove.json", "verdict.json", "model.yaml"
@@ -45,7 +47,8 @@ PROGRAMME = (
     "ten runs or more with step steers of three sizes, slow ramps to full lock, circles of two radii at two speeds "
     "both ways round, speed steps up and down, and coast-downs, at up to the tyres' limit"
 )
-NAMING, PROVING, LEARNING = (0.06, 0.7), 0.72, 0.75  # shares of the work: where each begins, and naming ends
+# shares of the work: where each step begins, and naming ends
+NAMING, PROVING, COUNTING, LEARNING = (0.06, 0.7), 0.72, 0.74, 0.8
 CLAIMS = ("named", "multiple", "ambiguous")
 
 
@@ -123,7 +126,8 @@ def refit(
 ) -> Investigation:
     """Return the evidence with the vehicle refitted to it, and the effects that it may lack."""
     unknowns = choose_unknowns(vehicle, settings["priors"], settings["hold"], vehicle)
-    without, limits = {*_list(settings["without"]), *vehicle.effects}, {}
+    without = {*_list(settings["without"]), *vehicle.effects}
+    limits = {name: (value, value) for name, value in _held(vehicle, _list(settings["hold"]))}
     # one shift of all on-board channels is one of the motion capture, the other way; whichever is late has the name
     if set(POSE) <= channels_of(logs):
         limits["effects.command_timestamp_offset.latency"] = (0.0, 0.2)
@@ -146,6 +150,12 @@ def refit(
         seed=settings["seed"],
         checkpoint=checkpoint,
     )
+
+
+def _held(vehicle: Vehicle, hold: Sequence[str]) -> list[tuple[str, float]]:
+    """Return the parameters that stay as they are, with their values."""
+    table = values(vehicle)
+    return [(name, float(table[name])) for pattern in hold for name in fnmatch.filter(table, pattern)]
 
 
 def _list(value: Any) -> list[str]:
@@ -173,9 +183,11 @@ def _steps(
     on_progress("prove", PROVING)
     proof = prove(investigation, decision.found)
     write_json(folder / PROOF, proof)
+    numbers = wrong_numbers(investigation, decision, within(on_progress, COUNTING, LEARNING))
     facts = {
         "verdict": verdict.kind,
         "reason": verdict.reason,
+        "configured": as_configured(investigation, numbers, proof["gap"]["unfitted"]),
         "effects": named["effects"] if verdict.kind in CLAIMS else [],
         "helped": named["effects"] if verdict.kind not in CLAIMS else [],
         "ambiguous_with": list(verdict.rivals),
@@ -192,7 +204,14 @@ def _steps(
     }
     if verdict.kind == "unknown":
         facts["residual"] = _residual(investigation, settings, folder, told, within(on_progress, LEARNING, 1.0))
-    return facts, decision.found if facts["effects"] else investigation.base
+    return facts, _changed(investigation, decision, numbers, bool(facts["effects"]))
+
+
+def _changed(investigation: Investigation, decision: Decision, numbers: Numbers, named: bool) -> FittedModel:
+    """Return the vehicle to go on with: no more changed than the log asks for, with the effects if they are named."""
+    if numbers.rest == 0.0 and named == bool(decision.found.effects):
+        return numbers.found
+    return decision.found if named else investigation.base
 
 
 def _residual(
@@ -271,6 +290,7 @@ def _silent(logs: Sequence[Log]) -> dict[str, Any]:
     seconds = sum(log.seconds for log in logs)
     return {
         "verdict": "under_excited",
+        "configured": {"error": None, "explained": 0.0, "changes": [], "rest": 0.0},
         "reason": f"{seconds:.0f} s of log hold no {FEWEST} windows of driving with the channels that a stage needs",
         "effects": [],
         "helped": [],

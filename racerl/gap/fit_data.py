@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from racerl.estimation.unknowns import Unknown
 from racerl.gap.checkpoint import Checkpoint
 from racerl.gap.evidence import Evidence
+from racerl.gap.groups import NUMBERS
 from racerl.gap.kernels import StageKernels
 from racerl.gap.stage_problem import matters
 from racerl.gap.workers import Workers
@@ -59,7 +60,8 @@ def kernels_of(
     catalogue: Mapping[str, Sequence[Effect]],
 ) -> dict[str, StageKernels]:
     """Return the kernels of every stage; an effect's size does not matter to them."""
-    free, any_size = [unknown.name for unknown in unknowns], {name: sizes[0] for name, sizes in catalogue.items()}
+    free = sorted({*NUMBERS, *(unknown.name for unknown in unknowns)})
+    any_size = {name: sizes[0] for name, sizes in catalogue.items()}
     return {name: StageKernels(each, vehicle, free, any_size) for name, each in evidence.items()}
 
 

@@ -29,6 +29,7 @@ def draw_gap(run: Path) -> Path:
             folder.path,
             "gap_page.html.j2",
             headline=headline(facts),
+            numbers=numbers_told(facts["configured"]),
             facts=facts,
             proof=proof,
             located=located,
@@ -55,6 +56,19 @@ def headline(facts: dict[str, Any]) -> str:
         "unknown": "Something real is missing that no known effect explains",
     }
     return sentences[facts["verdict"]]
+
+
+def numbers_told(configured: dict[str, Any]) -> list[str]:
+    """Return a line for every number that was configured wrongly, and one for what a refit of all explains beyond."""
+    lines = [
+        f"{row['what']}: {abs(row['to'] / row['from'] - 1.0):.0%} {'less' if row['to'] < row['from'] else 'more'} than "
+        f"configured, {row['parameter']} {row['to']:.4g} ({row['ci95'][0]:.4g} … {row['ci95'][1]:.4g}) instead of "
+        f"{row['from']:.4g}; that is {row['explained']:.0%} of the gap as configured"
+        for row in configured["changes"]
+    ]
+    if lines and configured["rest"]:
+        lines.append(f"a refit of all other numbers takes {configured['rest']:.0%} more of it")
+    return lines
 
 
 def _drawn(facts: dict[str, Any], proof: dict[str, Any] | None) -> list[tuple[str, str, str, str | None]]:

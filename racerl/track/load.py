@@ -45,7 +45,7 @@ def read_track(path: Path, changes: Mapping[str, Any] | None = None) -> Track:
     if path.suffix.lower() in (".yaml", ".yml"):
         return _read_map(path, changes)
     if changes:
-        raise TrackError(f"track.{next(iter(changes))}: a centreline has no settings; only those of a map .yaml can be set")
+        raise TrackError(f"track.{next(iter(changes))}: a centreline has no settings, only a map .yaml has")
     points, width_right, width_left = _read_centreline(path)
     return build_track(path.stem, points, width_right, width_left)
 

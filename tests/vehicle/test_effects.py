@@ -30,6 +30,7 @@ CONTRACT = (
     "drive_delay",
     "drive_brake_asymmetry",
     "current_limit",
+    "drive_saturation",
     "back_emf",
     "battery_sag",
     "drive_load_droop",
@@ -275,6 +276,13 @@ def test_torque_falls_with_speed():
     constant = float(make_car().drive.time_constant)
     assert slow + 8.0 / constant == pytest.approx(17.5, abs=0.1)
     assert fast + 5.0 / constant == pytest.approx(10.0, abs=0.1)
+
+
+def test_wheels_stop_at_their_largest_speed():
+    constant = float(make_car().drive.time_constant)
+    for asked, reached in ((5.0, 1.3), (0.6, 0.6), (-5.0, -1.3)):  # either way round; slow commands are left alone
+        rate = change("drive_saturation", (0.0, asked), {"limit": 1.3}, v_x=1.0, omega=1.0)["omega"]
+        assert rate * constant == pytest.approx(reached - asked, abs=0.002)
 
 
 def test_sag_droop_and_split():

@@ -18,7 +18,7 @@ Logs = list[tuple[Array, dict[str, Array]]]
 
 
 def batches(cases: Sequence[Case], size: int) -> Iterator[list[Case]]:
-    """Cases of one programme, structure, length, direction and tyre, at most `size` at a time, like effects together."""
+    """Cases alike but for car, effects and noise, at most `size` at a time, like effects together."""
     for _, group in groupby(sorted(cases, key=lambda case: (_kind(case), case.effects, case.name)), key=_kind):
         alike = list(group)
         yield from (alike[i : i + size] for i in range(0, len(alike), size))

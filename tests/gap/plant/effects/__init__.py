@@ -10,8 +10,10 @@ from tests.gap.plant.effects.base import SIZES, Effect
 CATALOGUE: dict[str, type[Effect]] = {
     effect.name: effect for module in (steering, drive, resistance, tyre, place, sensing) for effect in module.EFFECTS
 }
+# of racerl's catalogue, too, but asked for by name only: drawn sets are those of the seeds from before
+LATER: dict[str, type[Effect]] = {effect.name: effect for effect in drive.LATER}
 UNLISTED: dict[str, type[Effect]] = {effect.name: effect for effect in unlisted.EFFECTS}
-ALL: dict[str, type[Effect]] = CATALOGUE | UNLISTED
+ALL: dict[str, type[Effect]] = CATALOGUE | LATER | UNLISTED
 
 Values = Mapping[str, float]
 

@@ -60,6 +60,20 @@ class CurrentLimit(Effect):
         return self.pick(limit * np.tanh(rate / limit), rate)
 
 
+class DriveSaturation(Effect):
+    """The wheels stop short of fast commands: (ω + ω_max − √((ω − ω_max)² + (0.1 m/s)²))/2, ω_max = `speed` in m/s."""
+
+    name = "drive_saturation"
+    units: ClassVar = {"speed": "m/s"}
+    sizes = three(speed=(3.4, 2.6, 1.8))
+    KNEE = 0.1  # m/s
+
+    def command(self, now: Now, command: Array) -> Array:
+        wanted, most = np.abs(command[1]), self.p["speed"]
+        reached = 0.5 * (wanted + most - np.hypot(wanted - most, self.KNEE))
+        return np.stack([command[0], self.pick(np.sign(command[1]) * reached, command[1])])
+
+
 class BackEmf(Effect):
     """Speeding up fades towards the no-load speed: ω̇ ≤ a₀ (1 − (ω/ω₀)^1.5), reached softly (tanh); braking is free.
 
@@ -191,3 +205,4 @@ EFFECTS = (
     DriveSplit,
     LockedDifferential,
 )
+LATER = (DriveSaturation,)

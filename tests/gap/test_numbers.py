@@ -1,0 +1,93 @@
+"""Numbers that were configured wrongly: which they are, what they should be, and that no effect is taken for them."""
+
+from dataclasses import replace
+
+import pytest
+
+from racerl.gap.groups import GROUPS, NUMBERS
+from racerl.gap.naming import name_effects
+from racerl.gap.numbers import as_configured, wrong_numbers
+from racerl.report.gap_page import numbers_told
+from racerl.vehicle.parameter import values
+from tests.gap.conftest import configured, drive, investigate
+
+OFF = {"friction": 0.5, "yaw_inertia": 0.19, "steering.time_constant": 0.06}
+
+
+@pytest.fixture(scope="module")
+def off():
+    """A short drive of a car with less grip, more yaw inertia and a slower steering than configured."""
+    return drive(*(f"vehicle.{name}={value}" for name, value in OFF.items()))
+
+
+def test_wrong_numbers_are_found_with_their_values_and_nothing_else_is_changed(off):
+    investigation = investigate(off, "yaw_damping")
+    decision = name_effects(investigation)
+    numbers = wrong_numbers(investigation, decision)
+    facts = as_configured(investigation, numbers, 3.0)
+    assert not decision.found.effects and facts["rest"] == 0.0 and facts["error"] == 3.0
+    assert {row["parameter"]: row["to"] for row in facts["changes"]} == pytest.approx(OFF, rel=0.02)
+    assert all(row["ci95"][0] <= row["to"] <= row["ci95"][1] for row in facts["changes"])
+    assert facts["explained"] > 0.97
+    asked, found = values(configured()[0]), values(numbers.found.vehicle)
+    assert {name: found[name] for name in found if name not in OFF} == {n: asked[n] for n in asked if n not in OFF}
+
+
+def test_what_is_held_is_not_found_wrong(off):
+    kept = investigate(off).limited({"friction": (0.8, 0.8)})
+    numbers = wrong_numbers(kept, name_effects(kept))
+    assert "grip of the floor" not in numbers.gained and float(numbers.found.vehicle.friction) == 0.8
+    assert numbers.gained  # grip of the tyres, say, stands in for it
+
+
+def test_an_effect_is_no_wrong_number(damped):
+    investigation = investigate(damped, "yaw_damping")
+    numbers = wrong_numbers(investigation, name_effects(investigation))
+    assert not numbers.gained and numbers.explained == numbers.rest == 0.0
+    assert as_configured(investigation, numbers, 1.0)["changes"] == []
+    plain = replace(numbers.found.vehicle, effects={})
+    assert values(plain) == values(configured()[0])  # the vehicle as configured, and the effect
+    assert float(numbers.found.vehicle.effects["yaw_damping"].coefficient) == pytest.approx(0.15, rel=0.1)
+
+
+def test_an_effect_and_a_wrong_number_are_told_apart():
+    log = drive(
+        "vehicle.friction=0.6",
+        "+vehicle/effect=yaw_damping",
+        "vehicle.effects.yaw_damping.coefficient=0.15",
+        seconds=90.0,
+    )
+    investigation = investigate(log, "yaw_damping", "aero_drag")
+    decision = name_effects(investigation)
+    numbers = wrong_numbers(investigation, decision)
+    assert decision.found.effects == {"yaw_damping"} and list(numbers.gained) == ["grip of the floor"]
+    assert float(numbers.found.vehicle.friction) == pytest.approx(0.6, rel=0.05)
+
+
+def test_what_no_few_numbers_explain_is_left_to_the_refit():
+    """A tyre of other shape: the refit earns its place."""
+    shape = [
+        f"vehicle.{axle}.{name}" for axle in ("front", "rear") for name in ("p_Cy1=1.3", "p_Ey1=-0.5", "p_Cx1=1.3")
+    ]
+    investigation = investigate(drive(*shape))
+    assert wrong_numbers(investigation, name_effects(investigation)).rest > 0.04
+
+
+def test_groups_are_parameters_of_every_vehicle():
+    assert set(NUMBERS) <= set(values(configured()[0]))
+    assert len(NUMBERS) == len(set(NUMBERS)) == sum(map(len, GROUPS.values()))
+
+
+def test_wrong_numbers_in_words():
+    less = {
+        "parameter": "friction",
+        "what": "grip of the floor",
+        "from": 0.8,
+        "to": 0.5,
+        "ci95": [0.49, 0.51],
+        "explained": 0.98,
+    }
+    told = numbers_told({"changes": [less, {**less, "to": 1.0}], "rest": 0.12})
+    assert told[0].startswith("grip of the floor: 38% less than configured, friction 0.5 (0.49 … 0.51) instead of 0.8")
+    assert told[0].endswith("98% of the gap as configured") and "25% more" in told[1] and "12% more of it" in told[2]
+    assert numbers_told({"changes": [], "rest": 0.5}) == []
