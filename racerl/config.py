@@ -171,7 +171,7 @@ def _rewrite(command: str, arguments: Sequence[str], positional: str | None) -> 
     overrides: list[str] = []
     bare: list[str] = []
     groups = set(default_groups(command))
-    filed = {group for group in FILE_GROUPS if any(_names_file(word, group) for word in arguments)}
+    filed = _filed(arguments)
     words = iter(arguments)
     for word in words:
         if word.startswith("-"):
@@ -200,6 +200,12 @@ def _names_file(word: str, group: str) -> bool:
     """Return whether an override gives a group a file."""
     key, _, value = word.partition("=")
     return key.lstrip("+") == group and value.lower().endswith(FILE_GROUPS[group])
+
+
+def _filed(arguments: Sequence[str]) -> set[str]:
+    """Return the groups whose keys are those of a file, by `vehicle=model.yaml` or by `vehicle.file=model.yaml`."""
+    keys = {word.lstrip("+").partition("=")[0] for word in arguments}
+    return {g for g in FILE_GROUPS if f"{g}.file" in keys or any(_names_file(word, g) for word in arguments)}
 
 
 def _rewrite_override(word: str, groups: set[str], filed: Collection[str]) -> Iterator[str]:

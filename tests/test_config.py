@@ -133,6 +133,8 @@ def test_what_a_file_says_is_overridden_like_a_group(tmp_path, monkeypatch):
     vehicle = load_vehicle(compose_settings("gap", ["logs=[a.csv]", *words])["vehicle"])
     usual = load_vehicle(compose_settings("gap", ["logs=[a.csv]", "vehicle=f1tenth"])["vehicle"])
     assert vehicle == replace_values(usual, {"friction": 0.5, "front.p_Dy1": 0.9}) != usual
+    asked = ["vehicle=file", "vehicle.file=model.yaml", "vehicle.friction=0.5"]
+    assert load_vehicle(compose_settings("train", asked)["vehicle"]).friction == 0.5
     wrong = compose_settings("train", ["vehicle=model.yaml", "vehicle.fricton=0.5"])["vehicle"]
     with pytest.raises(VehicleError, match="no parameter 'fricton'; did you mean friction"):
         load_vehicle(wrong)

@@ -25,7 +25,7 @@ from racerl.gap.fitted_model import COG, FittedModel
 from racerl.gap.investigation import Investigation, investigate
 from racerl.gap.locate import locate
 from racerl.gap.naming import name_effects
-from racerl.gap.numbers import Numbers, as_configured, wrong_numbers
+from racerl.gap.numbers import as_configured, wrong_numbers
 from racerl.gap.progress import OnProgress, silent, within
 from racerl.gap.prove import prove
 from racerl.gap.stage import CHAIN, Stage, stages
@@ -47,8 +47,8 @@ PROGRAMME = (
     "ten runs or more with step steers of three sizes, slow ramps to full lock, circles of two radii at two speeds "
     "both ways round, speed steps up and down, and coast-downs, at up to the tyres' limit"
 )
-# shares of the work: where each step begins, and naming ends
-NAMING, PROVING, COUNTING, LEARNING = (0.06, 0.7), 0.72, 0.74, 0.8
+# shares of the work: where each step begins, and where naming and counting end
+NAMING, COUNTING, PROVING, LEARNING = (0.06, 0.7), (0.7, 0.76), 0.78, 0.8
 CLAIMS = ("named", "multiple", "ambiguous")
 
 
@@ -177,22 +177,25 @@ def _steps(
     write_json(folder / LOCATE, located)
     decision = name_effects(investigation, within(lambda what, share: on_progress(f"name: {what}", share), *NAMING))
     verdict = judge(investigation, decision)
-    on_progress("add", NAMING[1])
-    named = _named(decision, verdict, intervals(investigation, decision.found))
-    write_json(folder / NAME, named)
+    named = decision.found if verdict.kind in CLAIMS else investigation.base
+    numbers = wrong_numbers(investigation, named, within(on_progress, *COUNTING))
+    found = named if numbers.rest else numbers.found  # no more changed than the log asks for
+    shown = found if verdict.kind in CLAIMS else decision.found
+    on_progress("add", COUNTING[1])
+    told_effects = _named(decision, verdict, shown, intervals(investigation, shown))
+    write_json(folder / NAME, told_effects)
     on_progress("prove", PROVING)
-    proof = prove(investigation, decision.found)
+    proof = prove(investigation, shown)
     write_json(folder / PROOF, proof)
-    numbers = wrong_numbers(investigation, decision, within(on_progress, COUNTING, LEARNING))
     facts = {
         "verdict": verdict.kind,
         "reason": verdict.reason,
         "configured": as_configured(investigation, numbers, proof["gap"]["unfitted"]),
-        "effects": named["effects"] if verdict.kind in CLAIMS else [],
-        "helped": named["effects"] if verdict.kind not in CLAIMS else [],
+        "effects": told_effects["effects"] if verdict.kind in CLAIMS else [],
+        "helped": told_effects["effects"] if verdict.kind not in CLAIMS else [],
         "ambiguous_with": list(verdict.rivals),
         "next_manoeuvre": next_manoeuvre(verdict, missing if _one(decision, verdict) else ()),
-        "ranking": named["ranking"],
+        "ranking": told_effects["ranking"],
         "where": located["where"],
         "moved": moved(investigation),
         "gap": proof["gap"],
@@ -204,14 +207,7 @@ def _steps(
     }
     if verdict.kind == "unknown":
         facts["residual"] = _residual(investigation, settings, folder, told, within(on_progress, LEARNING, 1.0))
-    return facts, _changed(investigation, decision, numbers, bool(facts["effects"]))
-
-
-def _changed(investigation: Investigation, decision: Decision, numbers: Numbers, named: bool) -> FittedModel:
-    """Return the vehicle to go on with: no more changed than the log asks for, with the effects if they are named."""
-    if numbers.rest == 0.0 and named == bool(decision.found.effects):
-        return numbers.found
-    return decision.found if named else investigation.base
+    return facts, found
 
 
 def _residual(
@@ -236,8 +232,10 @@ def _residual(
     }
 
 
-def _named(decision: Decision, verdict: Verdict, ranges: Mapping[str, tuple[float, float, float]]) -> dict[str, Any]:
-    units = {name: unit.unit for name, unit in specifications(decision.found.vehicle).items()}
+def _named(
+    decision: Decision, verdict: Verdict, found: FittedModel, ranges: Mapping[str, tuple[float, float, float]]
+) -> dict[str, Any]:
+    units = {name: unit.unit for name, unit in specifications(found.vehicle).items()}
     return {
         "effects": [
             {

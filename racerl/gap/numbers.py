@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from racerl.estimation.unknowns import Unknown
 from racerl.gap.candidates import unfitted
-from racerl.gap.comparison import CLEAR, REAL, WORTH, Judge, total, wild
+from racerl.gap.comparison import ALL, CLEAR, REAL, WORTH, Judge, total, wild
 from racerl.gap.cross_validation import held_out
-from racerl.gap.decision import Decision
 from racerl.gap.fitted_model import COG, LONGEST, FittedModel, fit_model, unknowns_with
 from racerl.gap.groups import GROUPS, NUMBERS
 from racerl.gap.investigation import Investigation
@@ -28,42 +27,50 @@ from racerl.vehicle.parameter import replace_values, specifications, values
 from racerl.vehicle.vehicle import Vehicle
 
 Array = NDArray[np.float64]
+GRIP = "friction"
 SPREAD = 0.5  # deviation of a number's prior, as a share of it: no more than a restraint
 MOST = 4  # groups; a car that differs in more is another car
+
+
+@dataclass(frozen=True)
+class Gained:
+    """By which share a group of numbers lowered the gap as configured when it came in, in the stages it acts in."""
+
+    share: float
+    stages: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class Numbers:
     """The vehicle as configured, with the effects found and some groups of numbers fitted.
 
-    `gained` is by which share of the gap as configured, in the stages that it acts in, each group lowered it when it
-    came in; `explained` is the share of all groups in all stages, `rest` what a refit of everything takes away beyond
-    that, 0 where held-out windows do not ask for it; `cost` per window (W,) of every stage.
+    `explained` is the share of the gap as configured that all groups take, over all stages, `rest` what a refit of
+    everything takes beyond that, 0 where held-out windows do not ask for it; `cost` per window (W,) of every stage.
     """
 
-    gained: dict[str, float]
+    gained: dict[str, Gained]
     found: FittedModel
     cost: Mapping[str, Array]
     explained: float = 0.0
     rest: float = 0.0
 
 
-def wrong_numbers(investigation: Investigation, decision: Decision, on_progress: OnProgress = silent) -> Numbers:
-    """Return which few numbers explain the gap as configured, beside the effects of a decision."""
-    gap = _Gap(investigation, decision.found, unfitted(investigation))
+def wrong_numbers(investigation: Investigation, named: FittedModel, on_progress: OnProgress = silent) -> Numbers:
+    """Return which few numbers explain the gap as configured, beside the effects of a fit."""
+    gap = _Gap(investigation, named, unfitted(investigation))
+    whole = {**held_out(investigation, investigation.base), **held_out(investigation, named)}
+    refitted = Numbers({}, named, whole, rest=1.0)
+    if not all(np.isfinite(part).all() for part in gap.configured.cost.values()):  # it blows up: nothing to go on from
+        return refitted
     few = first = gap.fitted((), Numbers({}, gap.configured, gap.configured.cost))
-    while len(few.gained) < MOST:
-        on_progress("numbers", len(few.gained) / MOST)
+    for number in range(MOST):
+        on_progress("numbers", number / MOST)
         best = _best(gap, few)
         if best is None:
             break
         few = _pruned(gap, best)
-    refitted = {**few.cost, **held_out(investigation, investigation.base), **held_out(investigation, decision.found)}
-    whole = replace(few, cost=refitted)
-    asked = any(gap.earns(few, whole, [stage]) for stage in gap.open())
-    return replace(
-        few, explained=gap.gain(first, few, gap.open()), rest=gap.gain(few, whole, gap.open()) if asked else 0.0
-    )
+    rest = gap.gain(few, refitted, gap.open()) if any(gap.gains(few, refitted, [each]) for each in gap.open()) else 0.0
+    return replace(few, explained=gap.gain(first, few, gap.open()), rest=max(rest, 0.0))
 
 
 def _best(gap: "_Gap", few: Numbers) -> Numbers | None:
@@ -71,11 +78,12 @@ def _best(gap: "_Gap", few: Numbers) -> Numbers | None:
 
     def tried(group: str) -> Numbers:
         more = gap.fitted((*few.gained, group), few)
-        return replace(more, gained={**few.gained, group: gap.gain(few, more, gap.stages_of(group))})
+        stages = gap.stages_of(group)
+        return replace(more, gained={**few.gained, group: Gained(gap.gain(few, more, stages), tuple(stages))})
 
     groups = [group for group in gap.possible() if group not in few.gained]
     trials = zip(groups, gap.investigation.workers.each(tried, groups), strict=True)
-    earned = [more for group, more in trials if gap.earns(few, more, gap.stages_of(group))]
+    earned = [more for group, more in trials if gap.tells(few, more, gap.stages_of(group))]
     return min(earned, key=lambda more: gap.share(more.cost), default=None)
 
 
@@ -83,7 +91,7 @@ def _pruned(gap: "_Gap", few: Numbers) -> Numbers:
     """Return the numbers without those that the last one has made needless."""
     for group in list(few.gained)[:-1]:
         less = gap.fitted([name for name in few.gained if name != group], few)
-        if not gap.earns(less, few, gap.stages_of(group)):
+        if not gap.tells(less, few, gap.stages_of(group)):
             few = less
     return few
 
@@ -120,11 +128,17 @@ class _Gap:
         """Return by which share of the gap one fit explains more than another."""
         return self.share(few.cost, stages) - self.share(more.cost, stages)
 
-    def earns(self, few: Numbers, more: Numbers, stages: Sequence[str]) -> bool:
-        """Return whether one fit explains more of the gap in some stages than another: clearly, and enough to tell."""
+    def gains(self, few: Numbers, more: Numbers, stages: Sequence[str]) -> bool:
+        """Return whether one fit explains more than another in some stages: clearly, and beyond what noise may be."""
         parts = [{stage: each.cost[stage] for stage in stages} for each in (few, more)]
         gain, error = self.judge.gain(*parts)
-        return gain > CLEAR * error and self.gain(few, more, stages) > WORTH
+        fall = sum(self._excess(few.cost, stage) - self._excess(more.cost, stage) for stage in stages)
+        return gain > CLEAR * error and fall > REAL * sum(self.investigation.floor[stage] for stage in stages)
+
+    def tells(self, few: Numbers, more: Numbers, stages: Sequence[str]) -> bool:
+        """Return whether what one fit explains more is enough to tell of: of the gap, or of what is left of it."""
+        share = self.gain(few, more, stages)
+        return self.gains(few, more, stages) and (share > WORTH or share > ALL * self.share(few.cost, stages))
 
     def stages_of(self, group: str) -> list[str]:
         """Return the stages with a gap that a group acts in."""
@@ -158,28 +172,29 @@ class _Gap:
             free=free,
             strength=dict.fromkeys(self.investigation.evidence, 1.0),
         )
-        gained = {group: start.gained.get(group, 0.0) for group in groups}
+        gained = {group: start.gained[group] for group in groups if group in start.gained}
         return Numbers(gained, found, {**self.configured.cost, **found.cost})
 
     def _begun(self, found: FittedModel) -> Vehicle:
         """Return the vehicle of a fit, with the effects found if it lacks them."""
-        has = self.named.effects <= set(found.vehicle.effects)
-        return found.vehicle if has else replace(found.vehicle, effects=self.named.vehicle.effects)
+        lacking = {name: self.named.vehicle.effects[name] for name in self.named.effects - set(found.vehicle.effects)}
+        return replace(found.vehicle, effects={**found.vehicle.effects, **lacking})
 
     def _free_effects(self) -> list[Unknown]:
         unknowns = unknowns_with(self.investigation, self.named.effects, self.named.vehicle)
         return [unknown for unknown in unknowns if unknown.effect]
 
     def _unknowns(self, names: Iterable[str]) -> list[Unknown]:
-        """Return parameters as unknowns, with priors that are no more than a restraint; what is held stays so."""
-        table, known = values(self.investigation.vehicle), specifications(self.investigation.vehicle)
-        return [
-            Unknown(name, float(table[name]), SPREAD * abs(float(table[name])), low, high)
-            for name in names
-            if name in table
-            for low, high in [self.investigation.limits.get(name, (known[name].low, known[name].high))]
-            if low < high and table[name] != 0.0
-        ]
+        """Return parameters with priors that are no more than a restraint; what a refit may not change stays so.
+
+        Grip of the floor is held in a refit, for those of the tyres stand in for it.
+        """
+        investigation, known = self.investigation, {unknown.name: unknown for unknown in self.investigation.unknowns}
+        grip = float(values(investigation.vehicle)[GRIP])
+        bounds = specifications(investigation.vehicle)[GRIP]
+        known[GRIP] = Unknown(GRIP, grip, 1.0, *investigation.limits.get(GRIP, (bounds.low, bounds.high)))
+        free = [known[name] for name in names if name in known and known[name].low < known[name].high]
+        return [replace(each, sigma=SPREAD * abs(each.start)) for each in free if each.start]
 
     def _stages(self, unknowns: Sequence[Unknown]) -> list[str]:
         """Return the stages whose outcome depends on any of the unknowns."""
@@ -202,9 +217,10 @@ def as_configured(investigation: Investigation, numbers: Numbers, error: float) 
             "from": float(table[name]),
             "to": value,
             "ci95": [low, high],
-            "explained": share,
+            "explained": gained.share,
+            "stages": list(gained.stages),
         }
-        for group, share in numbers.gained.items()
+        for group, gained in numbers.gained.items()
         for name, (value, low, high) in ranges.items()
         if name in GROUPS[group] and not low <= float(table[name]) <= high
     ]

@@ -244,6 +244,8 @@ class Problem:
         covariance: Array = drawn @ drawn.T
         for stage, (part, slope), block in zip(self.stages, reduced, blocks, strict=True):
             place = self.places(stage)
+            if not place:
+                continue
             sums = np.stack([np.bincount(block, column) for column in slope.T], axis=1)  # (B, N)
             for number, gradient in enumerate(sums - sums.mean(axis=0)):
                 others, whole = stiffness.copy(), np.zeros(len(stiffness))

@@ -13,6 +13,8 @@ from racerl.report.figures import gap_bars, gap_maps, gap_ranking
 from racerl.report.page import figure, provenance, write_page
 from racerl.run import CONFIG, RunFolder
 
+PLAIN = {"steering": "steering", "drive": "drive", "chassis": "motion"}  # stages, as they are told
+
 
 def draw_gap(run: Path) -> Path:
     """Write the figures and the page of a finished diagnosis into its folder; return the page's path."""
@@ -59,15 +61,16 @@ def headline(facts: dict[str, Any]) -> str:
 
 
 def numbers_told(configured: dict[str, Any]) -> list[str]:
-    """Return a line for every number that was configured wrongly, and one for what a refit of all explains beyond."""
+    """Return a line for every number that was configured wrongly, and one for a refit of all that explains more."""
     lines = [
         f"{row['what']}: {abs(row['to'] / row['from'] - 1.0):.0%} {'less' if row['to'] < row['from'] else 'more'} than "
         f"configured, {row['parameter']} {row['to']:.4g} ({row['ci95'][0]:.4g} … {row['ci95'][1]:.4g}) instead of "
-        f"{row['from']:.4g}; that is {row['explained']:.0%} of the gap as configured"
+        f"{row['from']:.4g}; that is {row['explained']:.0%} of the gap as configured in the "
+        f"{' and the '.join(PLAIN[stage] for stage in row['stages'])}"
         for row in configured["changes"]
     ]
     if lines and configured["rest"]:
-        lines.append(f"a refit of all other numbers takes {configured['rest']:.0%} more of it")
+        lines.append(f"a refit of all numbers takes {configured['rest']:.0%} more of the gap; model.yaml has that one")
     return lines
 
 

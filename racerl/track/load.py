@@ -23,6 +23,7 @@ log = logging.getLogger(__name__)
 
 IMAGE_SUFFIXES = (".png", ".pgm", ".bmp", ".jpg", ".jpeg")
 MAX_PIXELS = 100_000_000
+MAP_KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh")  # that are read
 SWAP_EVIDENCE = 0.05  # m of mean misfit by which swapped widths must fit better
 
 
@@ -75,8 +76,8 @@ def _read_centreline(path: Path) -> tuple[Array, Array, Array]:
 def _read_map(path: Path, changes: Mapping[str, Any]) -> Track:
     settings = read_yaml(path)
     for key in changes:
-        if key not in settings:
-            raise TrackError(f"track {path}: has no '{key}'{suggest(key, settings)}")
+        if key not in MAP_KEYS:
+            raise TrackError(f"track {path}: a map has no '{key}'{suggest(key, MAP_KEYS)}")
     settings |= changes
     centrelines = sorted({*path.parent.glob("*centerline*.csv"), *path.parent.glob("*centreline*.csv")})
     own = [file for file in centrelines if file.stem.startswith(path.stem.removesuffix("_map"))]

@@ -1,8 +1,9 @@
 """`racerl gap close`: three policies race in the car that the log came from.
 
-`old` was trained on the refitted vehicle without the effects found, `new` with them, `oracle` on the car itself, each
-several times. Of the oracle's gain, in lap time, in leaving the track or in crashes, naming the effect recovered the
-share (old − new)/(old − oracle), of the trainings' means; its interval is a bootstrap over the trainings.
+`old` was trained on the refitted vehicle without the effects found, `new` on the vehicle of the diagnosis, which has
+them, `oracle` on the car itself, each several times. Of the oracle's gain, in lap time, in leaving the track or in
+crashes, naming the effect recovered the share (old − new)/(old − oracle), of the trainings' means; its interval is a
+bootstrap over the trainings.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -43,6 +44,10 @@ def close(
     finished = len(logs) == 1 and Path(logs[0]).is_dir()
     diagnosis = compose("gap", [f"logs={logs}", f"threads={settings['threads']}", *map(str, settings["gap"])])
     words = [*map(str, settings["train"]), f"threads={settings['threads']}"]
+    if mine := [word for word in words if word.lstrip("+~").startswith("vehicle")]:
+        raise ConfigError(
+            f"train = {mine[0]}: each policy has a vehicle of its own; real= is the car, gap= has the rest"
+        )
     trainings = _trainings(settings)
     # what cannot be read is told before anything is written
     load_vehicle(compose("train", [f"vehicle={settings['real']}", *words])["vehicle"])

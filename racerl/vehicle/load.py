@@ -41,6 +41,9 @@ def load_vehicle(settings: Mapping[str, Any], drive: str = "wheel_speed", actuat
         drive=parts[drive],
         effects=_load_effects(settings.get("effects") or {}),
     )
+    for name, effect in vehicle.effects.items():
+        if effect.of_speed and drive == "motor_current":
+            raise VehicleError(f"vehicle.effects.{name} limits a commanded speed; with sim=motor_current there is none")
     if vehicle.l_f >= vehicle.wheelbase:
         raise VehicleError(f"vehicle.l_f = {vehicle.l_f:g} m: allowed is less than the wheelbase {vehicle.wheelbase:g}")
     return vehicle if actuators else vehicle.without_actuators()

@@ -14,6 +14,7 @@ from racerl.gap.evidence import Evidence
 from racerl.gap.investigation import Investigation
 from racerl.gap.stage import CHASSIS, DRIVE, STEERING
 from racerl.record.record import Plan, table
+from racerl.vehicle import catalogue
 from racerl.vehicle.load import load_vehicle
 from racerl.vehicle.vehicle import Vehicle
 
@@ -38,6 +39,14 @@ def investigate(log: Log, *names: str, vehicle: Vehicle | None = None) -> Invest
     catalogue = {name: starts(name, conf_folder() / "vehicle" / "effect") for name in names}
     cut = [Evidence.of([log], stage, 85, 0.5) for stage in (STEERING, DRIVE, CHASSIS)]
     return investigation.investigate({each.stage.name: each for each in cut}, vehicle, unknowns, catalogue, threads=2)
+
+
+def settings_for(log, folder, *names, **changes):
+    """Return the settings of a diagnosis that knows some effects only."""
+    path = folder / f"{log.name}.parquet"
+    log.table.to_parquet(path, index=False)
+    without = [name for name in catalogue.names() if name not in names]
+    return {**compose_settings("gap", [f"logs=['{path}']", "vehicle=published"]), "without": without, **changes}
 
 
 @pytest.fixture(scope="session")

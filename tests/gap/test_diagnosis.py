@@ -32,20 +32,12 @@ from racerl.report.gap_page import draw_gap
 from racerl.vehicle import catalogue
 from racerl.vehicle.load import load_vehicle
 from racerl.vehicle.ops import TORCH
-from tests.gap.conftest import drive
+from tests.gap.conftest import drive, settings_for
 from tests.vehicle.conftest import make_car
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler on this machine")
 KNOWN = ("yaw_damping", "aero_drag", "command_timestamp_offset", "pose_latency", "lateral_load_sensitivity")
 FIELDS = {"verdict", "effects", "ambiguous_with", "next_manoeuvre", "ranking", "where", "gap"}  # of the contract
-
-
-def settings_for(log, folder, *names, **changes):
-    """Return the settings of a diagnosis that knows some effects only."""
-    path = folder / f"{log.name}.parquet"
-    log.table.to_parquet(path, index=False)
-    without = [name for name in catalogue.names() if name not in names]
-    return {**compose_settings("gap", [f"logs=['{path}']", "vehicle=published"]), "without": without, **changes}
 
 
 @pytest.fixture(scope="session")

@@ -1,15 +1,20 @@
 """Numbers that were configured wrongly: which they are, what they should be, and that no effect is taken for them."""
 
+import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+import racerl.gap.numbers as numbers_module
+from racerl.gap.diagnose import gap
 from racerl.gap.groups import GROUPS, NUMBERS
 from racerl.gap.naming import name_effects
 from racerl.gap.numbers import as_configured, wrong_numbers
-from racerl.report.gap_page import numbers_told
+from racerl.report.gap_page import draw_gap, numbers_told
+from racerl.vehicle.load import load_vehicle
 from racerl.vehicle.parameter import values
-from tests.gap.conftest import configured, drive, investigate
+from tests.gap.conftest import configured, drive, investigate, settings_for
 
 OFF = {"friction": 0.5, "yaw_inertia": 0.19, "steering.time_constant": 0.06}
 
@@ -23,7 +28,7 @@ def off():
 def test_wrong_numbers_are_found_with_their_values_and_nothing_else_is_changed(off):
     investigation = investigate(off, "yaw_damping")
     decision = name_effects(investigation)
-    numbers = wrong_numbers(investigation, decision)
+    numbers = wrong_numbers(investigation, decision.found)
     facts = as_configured(investigation, numbers, 3.0)
     assert not decision.found.effects and facts["rest"] == 0.0 and facts["error"] == 3.0
     assert {row["parameter"]: row["to"] for row in facts["changes"]} == pytest.approx(OFF, rel=0.02)
@@ -35,14 +40,44 @@ def test_wrong_numbers_are_found_with_their_values_and_nothing_else_is_changed(o
 
 def test_what_is_held_is_not_found_wrong(off):
     kept = investigate(off).limited({"friction": (0.8, 0.8)})
-    numbers = wrong_numbers(kept, name_effects(kept))
+    numbers = wrong_numbers(kept, kept.base)
     assert "grip of the floor" not in numbers.gained and float(numbers.found.vehicle.friction) == 0.8
     assert numbers.gained  # grip of the tyres, say, stands in for it
 
 
+def test_a_vehicle_that_blows_up_is_left_to_the_refit(off, monkeypatch):
+    investigation = investigate(off)
+    broken = replace(investigation.base, cost={**investigation.base.cost, "chassis": np.full(5, np.inf)})
+    monkeypatch.setattr(numbers_module, "unfitted", lambda investigation: broken)
+    numbers = wrong_numbers(investigation, investigation.base)
+    assert not numbers.gained and numbers.rest == 1.0 and numbers.found is investigation.base
+
+
+def test_the_vehicle_that_is_written_has_the_numbers_told_and_is_the_one_that_was_proved(off, tmp_path):
+    priors = {**settings_for(off, tmp_path)["priors"], "steering.time_constant": None}
+    held = {"hold": ["yaw_inertia"], "priors": priors}
+    for changes, known in (({}, set(OFF)), (held, {"friction"})):
+        out = tmp_path / str(len(changes))
+        facts = gap(settings_for(off, tmp_path, "yaw_damping", **changes), out)
+        told = {row["parameter"]: row["to"] for row in facts["configured"]["changes"]}
+        assert set(told) >= known and not set(told) & (set(OFF) - known)
+        written = values(load_vehicle({"file": str(out / "model.yaml")}))
+        if not facts["configured"]["rest"]:
+            assert {name: written[name] for name in told} == pytest.approx(told, rel=1e-4)
+            assert facts["verdict"] == "none" and facts["gap"]["after"] < 1.1
+    assert re.search("Grip of the floor: 3[78]% less than configured", draw_gap(tmp_path / "0").read_text())
+
+
+def test_a_right_vehicle_stays_as_it_is(clean, tmp_path):
+    settings = settings_for(clean, tmp_path, "yaw_damping")
+    facts = gap(settings, tmp_path / "out")
+    assert facts["configured"]["changes"] == [] and facts["configured"]["rest"] == 0.0
+    assert load_vehicle({"file": str(tmp_path / "out" / "model.yaml")}) == load_vehicle(settings["vehicle"])
+
+
 def test_an_effect_is_no_wrong_number(damped):
     investigation = investigate(damped, "yaw_damping")
-    numbers = wrong_numbers(investigation, name_effects(investigation))
+    numbers = wrong_numbers(investigation, name_effects(investigation).found)
     assert not numbers.gained and numbers.explained == numbers.rest == 0.0
     assert as_configured(investigation, numbers, 1.0)["changes"] == []
     plain = replace(numbers.found.vehicle, effects={})
@@ -59,7 +94,7 @@ def test_an_effect_and_a_wrong_number_are_told_apart():
     )
     investigation = investigate(log, "yaw_damping", "aero_drag")
     decision = name_effects(investigation)
-    numbers = wrong_numbers(investigation, decision)
+    numbers = wrong_numbers(investigation, decision.found)
     assert decision.found.effects == {"yaw_damping"} and list(numbers.gained) == ["grip of the floor"]
     assert float(numbers.found.vehicle.friction) == pytest.approx(0.6, rel=0.05)
 
@@ -70,7 +105,8 @@ def test_what_no_few_numbers_explain_is_left_to_the_refit():
         f"vehicle.{axle}.{name}" for axle in ("front", "rear") for name in ("p_Cy1=1.3", "p_Ey1=-0.5", "p_Cx1=1.3")
     ]
     investigation = investigate(drive(*shape))
-    assert wrong_numbers(investigation, name_effects(investigation)).rest > 0.04
+    numbers = wrong_numbers(investigation, investigation.base)
+    assert 0.0 < numbers.rest < 1.0 - numbers.explained + 0.05 and numbers.gained
 
 
 def test_groups_are_parameters_of_every_vehicle():
@@ -86,8 +122,11 @@ def test_wrong_numbers_in_words():
         "to": 0.5,
         "ci95": [0.49, 0.51],
         "explained": 0.98,
+        "stages": ["chassis"],
     }
-    told = numbers_told({"changes": [less, {**less, "to": 1.0}], "rest": 0.12})
+    told = numbers_told({"changes": [less, {**less, "to": 1.0, "stages": ["steering", "chassis"]}], "rest": 0.12})
     assert told[0].startswith("grip of the floor: 38% less than configured, friction 0.5 (0.49 … 0.51) instead of 0.8")
-    assert told[0].endswith("98% of the gap as configured") and "25% more" in told[1] and "12% more of it" in told[2]
+    assert told[0].endswith("98% of the gap as configured in the motion")
+    assert "25% more" in told[1] and told[1].endswith("in the steering and the motion")
+    assert "12% more of the gap" in told[2] and len(told) == 3
     assert numbers_told({"changes": [], "rest": 0.5}) == []

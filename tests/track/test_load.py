@@ -98,9 +98,9 @@ def test_wrong_maps_are_refused(tmp_path, changes, said):
 
 def test_a_maps_settings_are_overridden(tmp_path):
     path = write_map(tmp_path, resolution=0)  # refused as it is
-    track = load_track({"file": str(path), "resolution": RESOLUTION}, tmp_path)
+    track = load_track({"file": str(path), "resolution": RESOLUTION, "negate": 0}, tmp_path)
     assert np.allclose(track.width_left, 0.8)
-    with pytest.raises(TrackError, match="no 'resolutoin'; did you mean resolution"):
+    with pytest.raises(TrackError, match="a map has no 'resolutoin'; did you mean resolution"):
         load_track({"file": str(path), "resolutoin": RESOLUTION}, tmp_path)
 
 

@@ -76,6 +76,12 @@ def test_a_log_that_is_not_there_leaves_nothing_behind(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_a_policy_gets_no_vehicle_of_its_own(diagnosed, tmp_path):
+    with pytest.raises(ConfigError, match=r"train = vehicle.friction=0.5: each policy has a vehicle of its own"):
+        close({**settings_of(diagnosed), "train": ["vehicle.friction=0.5"]}, tmp_path / "out", compose_settings)
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_car_that_is_not_there_is_told_before_anything_is_trained(diagnosed, tmp_path):
     with pytest.raises(RacerlError, match="nowhere"):
         close(settings_of(diagnosed, real="nowhere.yaml"), tmp_path / "out", compose_settings)

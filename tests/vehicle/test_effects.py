@@ -7,10 +7,12 @@ import re
 import pytest
 import torch
 
-from racerl.errors import ConfigError
+from racerl.config import compose_settings
+from racerl.errors import ConfigError, VehicleError
 from racerl.vehicle import catalogue
 from racerl.vehicle.effects.learned_network import LearnedNetwork
 from racerl.vehicle.effects.learned_residual import LearnedResidual
+from racerl.vehicle.load import load_vehicle
 from racerl.vehicle.ops import TORCH
 from racerl.vehicle.vehicle import COMMAND, STATE, Vehicle
 from tests.vehicle.conftest import make_car, random_states, travel
@@ -283,6 +285,9 @@ def test_wheels_stop_at_their_largest_speed():
     for asked, reached in ((5.0, 1.3), (0.6, 0.6), (-5.0, -1.3)):  # either way round; slow commands are left alone
         rate = change("drive_saturation", (0.0, asked), {"limit": 1.3}, v_x=1.0, omega=1.0)["omega"]
         assert rate * constant == pytest.approx(reached - asked, abs=0.002)
+    words = ["vehicle=published", "+vehicle/effect=drive_saturation"]
+    with pytest.raises(VehicleError, match="drive_saturation limits a commanded speed; with sim=motor_current"):
+        load_vehicle(compose_settings("train", words)["vehicle"], "motor_current")
 
 
 def test_sag_droop_and_split():

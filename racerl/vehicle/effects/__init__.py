@@ -30,6 +30,7 @@ class Effect:
     physical: ClassVar[bool] = True  # of the catalogue
     exact: ClassVar[bool] = False  # it has one form: a shift in time or place, a rotation, an offset, a gain
     vanishes: ClassVar[bool] = True  # where its first parameter is 0, or 1 for a factor
+    of_speed: ClassVar[bool] = False  # it acts on a commanded wheel speed; a commanded current is none
     known: ClassVar[tuple[str, ...]] = ()  # parameters that no fit changes
     memory: ClassVar[tuple[str, ...]] = ()  # time constants of own states that are first-order lags over seconds
     told: ClassVar[tuple[str, ...]] = ()  # own states that the drive so far tells, whatever a window of a second shows

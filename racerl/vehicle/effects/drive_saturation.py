@@ -9,6 +9,7 @@ Confused with: wheel_speed_gain (slow commands, too), back_emf (it only slows th
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 from racerl.vehicle.effects import Effect
 from racerl.vehicle.ops import Ops, Scalar, soft_clip
@@ -19,6 +20,7 @@ from racerl.vehicle.parameter import parameter
 class DriveSaturation(Effect):
     """Largest wheel speed."""
 
+    of_speed: ClassVar[bool] = True
     limit: Scalar = parameter("m/s", 0.1, 100.0, "ω_max")
 
     def command(
