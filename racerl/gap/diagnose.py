@@ -179,7 +179,7 @@ def _steps(
     verdict = judge(investigation, decision)
     named = decision.found if verdict.kind in CLAIMS else investigation.base
     numbers = wrong_numbers(investigation, named, within(on_progress, *COUNTING))
-    found = named if numbers.rest else numbers.found  # no more changed than the log asks for
+    found = numbers.vehicle
     shown = found if verdict.kind in CLAIMS else decision.found
     on_progress("add", COUNTING[1])
     told_effects = _named(decision, verdict, shown, intervals(investigation, shown))
@@ -323,7 +323,7 @@ def _untestable(evidence: Mapping[str, Evidence], channels: Collection[str]) -> 
 def _write_vehicle(
     path: Path, settings: Mapping[str, Any], facts: Mapping[str, Any], investigation: Investigation, found: FittedModel
 ) -> None:
-    """Write the refitted vehicle with the effects that were named."""
+    """Write a fitted vehicle with the effects that were named."""
     units, sure = specifications(found.vehicle), deviations(investigation, found)
     parameters = {
         name: {
@@ -333,6 +333,11 @@ def _write_vehicle(
         }
         for name, (value, low, high) in intervals(investigation, found).items()
     }
+    configured = values(investigation.vehicle)
+    for row in facts.get("configured", {}).get("changes", []):  # a number that a refit around it leaves as it is
+        name = row["parameter"]
+        if name not in parameters and found.theta[name] != float(configured[name]):
+            parameters[name] = {"ci95": row["ci95"], "identified": True, "unit": units[name].unit}
     added = {
         name: {key.rpartition(".")[2]: found.theta[key] for key in found.theta if key.startswith(f"effects.{name}.")}
         for name in found.effects

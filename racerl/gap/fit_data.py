@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from racerl.estimation.unknowns import Unknown
 from racerl.gap.checkpoint import Checkpoint
+from racerl.gap.configurable import NUMBERS
 from racerl.gap.evidence import Evidence
-from racerl.gap.groups import NUMBERS
 from racerl.gap.kernels import StageKernels
 from racerl.gap.stage_problem import matters
 from racerl.gap.workers import Workers

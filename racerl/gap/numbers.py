@@ -1,8 +1,8 @@
-"""Wrong numbers: which few of the configured parameters explain the gap, beside the effects found.
+"""Wrong numbers: which few of the configured ones explain the gap, beside the effects found.
 
-Physical groups of parameters are freed one after another, all else as configured: each time the one that explains most,
-while that is clear and enough to tell of; one that others have made needless goes again. What a refit of all parameters
-explains beyond that must earn its place: else the vehicle that is written has these few changed only.
+Numbers are freed one after another, all else as configured: each time the one that explains most, while that is clear
+and enough to tell of, and as long as it stays in reach of what was configured; one that others have made needless goes
+again. A refit of all parameters around these must then earn its place: else the vehicle has these few changed only.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from racerl.estimation.unknowns import Unknown
 from racerl.gap.candidates import unfitted
 from racerl.gap.comparison import ALL, CLEAR, REAL, WORTH, Judge, total, wild
+from racerl.gap.configurable import NUMBERS
 from racerl.gap.cross_validation import held_out
-from racerl.gap.fitted_model import COG, LONGEST, FittedModel, fit_model, unknowns_with
-from racerl.gap.groups import GROUPS, NUMBERS
+from racerl.gap.fitted_model import COG, LONGEST, FittedModel, fit_model, settled_fit, unknowns_with
 from racerl.gap.investigation import Investigation
 from racerl.gap.progress import OnProgress, silent
 from racerl.gap.stage_problem import StageProblem
@@ -29,12 +29,13 @@ from racerl.vehicle.vehicle import Vehicle
 Array = NDArray[np.float64]
 GRIP = "friction"
 SPREAD = 0.5  # deviation of a number's prior, as a share of it: no more than a restraint
-MOST = 4  # groups; a car that differs in more is another car
+REACH = 2.5  # times what was configured, or its inverse: what runs further is something else in disguise
+MOST = 4  # numbers; a car that differs in more is another car
 
 
 @dataclass(frozen=True)
 class Gained:
-    """By which share a group of numbers lowered the gap as configured when it came in, in the stages it acts in."""
+    """By which share a number lowered the gap as configured when it came in, in the stages it acts in."""
 
     share: float
     stages: tuple[str, ...]
@@ -42,10 +43,11 @@ class Gained:
 
 @dataclass(frozen=True)
 class Numbers:
-    """The vehicle as configured, with the effects found and some groups of numbers fitted.
+    """The vehicle as configured, with the effects found and some numbers fitted.
 
-    `explained` is the share of the gap as configured that all groups take, over all stages, `rest` what a refit of
-    everything takes beyond that, 0 where held-out windows do not ask for it; `cost` per window (W,) of every stage.
+    `explained` is the share of the gap as configured that all numbers take, over all stages; `cost` per window (W,) of
+    every stage. `refitted` is a refit of all parameters around them, where held-out windows ask for it, and `rest` the
+    share that it takes beyond them; else None and 0.
     """
 
     gained: dict[str, Gained]
@@ -53,47 +55,68 @@ class Numbers:
     cost: Mapping[str, Array]
     explained: float = 0.0
     rest: float = 0.0
+    refitted: FittedModel | None = None
+
+    @property
+    def vehicle(self) -> FittedModel:
+        """The fit to go on with: no more changed than the log asks for."""
+        return self.refitted or self.found
 
 
 def wrong_numbers(investigation: Investigation, named: FittedModel, on_progress: OnProgress = silent) -> Numbers:
     """Return which few numbers explain the gap as configured, beside the effects of a fit."""
     gap = _Gap(investigation, named, unfitted(investigation))
-    whole = {**held_out(investigation, investigation.base), **held_out(investigation, named)}
-    refitted = Numbers({}, named, whole, rest=1.0)
-    if not all(np.isfinite(part).all() for part in gap.configured.cost.values()):  # it blows up: nothing to go on from
-        return refitted
-    few = first = gap.fitted((), Numbers({}, gap.configured, gap.configured.cost))
+    few = first = Numbers({}, gap.configured, gap.configured.cost)
+    if not all(np.isfinite(part).all() for part in few.cost.values()):  # it blows up: nothing to go on from
+        return replace(few, rest=1.0, refitted=named)
+    few = first = gap.fitted((), few)
     for number in range(MOST):
-        on_progress("numbers", number / MOST)
+        on_progress("numbers", number / (MOST + 1))
         best = _best(gap, few)
         if best is None:
             break
         few = _pruned(gap, best)
-    rest = gap.gain(few, refitted, gap.open()) if any(gap.gains(few, refitted, [each]) for each in gap.open()) else 0.0
-    return replace(few, explained=gap.gain(first, few, gap.open()), rest=max(rest, 0.0))
+    few = replace(few, explained=gap.gain(first, few, gap.open()))
+    on_progress("numbers", MOST / (MOST + 1))
+    around = _refitted(investigation, few) if few.gained else named
+    whole = {**held_out(investigation, investigation.base), **held_out(investigation, around)}
+    more = replace(few, cost=whole)
+    if not any(gap.gains(few, more, [stage]) for stage in gap.open()):
+        return few
+    rest = sum(max(gap.fall(few, more, stage), 0.0) for stage in gap.open()) / gap.excess
+    return replace(few, rest=min(rest, gap.share(few.cost)), refitted=around)
 
 
 def _best(gap: "_Gap", few: Numbers) -> Numbers | None:
-    """Return the numbers with the group more that explains most, of those that earn their place; None without any."""
+    """Return the numbers with the one more that explains most, of those that are to be told; None without any."""
 
-    def tried(group: str) -> Numbers:
-        more = gap.fitted((*few.gained, group), few)
-        stages = gap.stages_of(group)
-        return replace(more, gained={**few.gained, group: Gained(gap.gain(few, more, stages), tuple(stages))})
+    def tried(name: str) -> Numbers:
+        more, stages = gap.fitted((*few.gained, name), few), gap.stages_of(name)
+        return replace(more, gained={**few.gained, name: Gained(gap.gain(few, more, stages), tuple(stages))})
 
-    groups = [group for group in gap.possible() if group not in few.gained]
-    trials = zip(groups, gap.investigation.workers.each(tried, groups), strict=True)
-    earned = [more for group, more in trials if gap.tells(few, more, gap.stages_of(group))]
-    return min(earned, key=lambda more: gap.share(more.cost), default=None)
+    names = [name for name in gap.possible() if name not in few.gained]
+    trials = zip(names, gap.investigation.workers.each(tried, names), strict=True)
+    told = [more for name, more in trials if gap.tells(few, more, gap.stages_of(name)) and gap.in_reach(more)]
+    return min(told, key=lambda more: gap.share(more.cost), default=None)
 
 
 def _pruned(gap: "_Gap", few: Numbers) -> Numbers:
     """Return the numbers without those that the last one has made needless."""
-    for group in list(few.gained)[:-1]:
-        less = gap.fitted([name for name in few.gained if name != group], few)
-        if not gap.tells(less, few, gap.stages_of(group)):
+    for name in list(few.gained)[:-1]:
+        less = gap.fitted([other for other in few.gained if other != name], few)
+        if not gap.tells(less, few, gap.stages_of(name)):
             few = less
     return few
+
+
+def _refitted(investigation: Investigation, few: Numbers) -> FittedModel:
+    """Return a fit of all parameters, all expected where a few numbers changed have them."""
+    around = [
+        replace(unknown, start=min(max(few.found.theta[unknown.name], unknown.low), unknown.high))
+        for unknown in investigation.unknowns
+    ]
+    data = replace(investigation, unknowns=around)
+    return settled_fit(data, few.found.effects, few.found.vehicle, few.found, stages=list(investigation.evidence))
 
 
 @dataclass(frozen=True)
@@ -120,6 +143,11 @@ class _Gap:
         left, had = (total(self._excess(each, stage) for stage in among) for each in (cost, self.configured.cost))
         return left / max(had, 1e-9)
 
+    @cached_property
+    def excess(self) -> float:
+        """The cost of the vehicle as configured beyond that of noise, over the stages with a gap."""
+        return total(self._excess(self.configured.cost, stage) for stage in self.open())
+
     def _excess(self, cost: Mapping[str, Array], stage: str) -> float:
         most = wild(self.investigation, stage, self.configured.cost[stage])
         return float(np.minimum(cost[stage], most).sum()) - self.investigation.floor[stage]
@@ -132,47 +160,52 @@ class _Gap:
         """Return whether one fit explains more than another in some stages: clearly, and beyond what noise may be."""
         parts = [{stage: each.cost[stage] for stage in stages} for each in (few, more)]
         gain, error = self.judge.gain(*parts)
-        fall = sum(self._excess(few.cost, stage) - self._excess(more.cost, stage) for stage in stages)
+        fall = sum(self.fall(few, more, stage) for stage in stages)
         return gain > CLEAR * error and fall > REAL * sum(self.investigation.floor[stage] for stage in stages)
+
+    def fall(self, few: Numbers, more: Numbers, stage: str) -> float:
+        """Return by how much less one fit costs than another in a stage, a window that no fit foresaw no matter."""
+        gain, _ = self.judge.gain({stage: few.cost[stage]}, {stage: more.cost[stage]})
+        return gain / self.judge.slope(stage, few.cost[stage])
 
     def tells(self, few: Numbers, more: Numbers, stages: Sequence[str]) -> bool:
         """Return whether what one fit explains more is enough to tell of: of the gap, or of what is left of it."""
         share = self.gain(few, more, stages)
         return self.gains(few, more, stages) and (share > WORTH or share > ALL * self.share(few.cost, stages))
 
-    def stages_of(self, group: str) -> list[str]:
-        """Return the stages with a gap that a group acts in."""
-        return [stage for stage in self._stages(self._unknowns(GROUPS[group])) if stage in self.open()]
+    def in_reach(self, numbers: Numbers) -> bool:
+        """Return whether every number stayed inside its bounds."""
+        return all(u.low < numbers.found.theta[u.name] < u.high for u in self._unknowns(numbers.gained))
+
+    def stages_of(self, name: str) -> list[str]:
+        """Return the stages with a gap that a number acts in."""
+        return [stage for stage in self._stages(self._unknowns([name])) if stage in self.open()]
 
     def possible(self) -> list[str]:
-        """Return the groups that the log's stages depend on; a displaced centre of gravity is one already."""
-        return [
-            group
-            for group, names in GROUPS.items()
-            if self.stages_of(group) and not (COG in self.named.effects and "l_f" in names)
-        ]
+        """Return the numbers that the log's stages depend on; a displaced centre of gravity is one already."""
+        displaced = COG in self.named.effects
+        return [name for name in NUMBERS if self.stages_of(name) and not (displaced and name == "l_f")]
 
-    def fitted(self, groups: Sequence[str], start: Numbers) -> Numbers:
-        """Return the vehicle with its effects and some groups fitted, from where others ended."""
-        own = self._free_effects()
-        free = [*own, *self._unknowns([name for group in groups for name in GROUPS[group]])]
+    def fitted(self, names: Sequence[str], start: Numbers) -> Numbers:
+        """Return the vehicle with its effects and some numbers fitted, from where others ended."""
+        own = unknowns_with(self.investigation, self.named.effects, self.named.vehicle)
+        free = [*(unknown for unknown in own if unknown.effect), *self._unknowns(names)]
         stages = self._stages(free)
         if not stages:
             return start
-        configured, fitted = values(self.investigation.vehicle), {u.name for u in free}
-        back = {name: float(configured[name]) for name in NUMBERS if name in configured and name not in fitted}
-        vehicle = replace_values(self._begun(start.found), back)
+        configured = values(self.investigation.vehicle)
+        back = {name: float(configured[name]) for name in NUMBERS if name in configured and name not in names}
         found = fit_model(
             self.investigation,
             self.named.effects,
-            vehicle,
+            replace_values(self._begun(start.found), back),
             start.found,
             LONGEST,
             stages=stages,
             free=free,
             strength=dict.fromkeys(self.investigation.evidence, 1.0),
         )
-        gained = {group: start.gained[group] for group in groups if group in start.gained}
+        gained = {name: start.gained[name] for name in names if name in start.gained}
         return Numbers(gained, found, {**self.configured.cost, **found.cost})
 
     def _begun(self, found: FittedModel) -> Vehicle:
@@ -180,12 +213,8 @@ class _Gap:
         lacking = {name: self.named.vehicle.effects[name] for name in self.named.effects - set(found.vehicle.effects)}
         return replace(found.vehicle, effects={**found.vehicle.effects, **lacking})
 
-    def _free_effects(self) -> list[Unknown]:
-        unknowns = unknowns_with(self.investigation, self.named.effects, self.named.vehicle)
-        return [unknown for unknown in unknowns if unknown.effect]
-
     def _unknowns(self, names: Iterable[str]) -> list[Unknown]:
-        """Return parameters with priors that are no more than a restraint; what a refit may not change stays so.
+        """Return numbers with priors that are no more than a restraint; what a refit may not change stays so.
 
         Grip of the floor is held in a refit, for those of the tyres stand in for it.
         """
@@ -194,7 +223,16 @@ class _Gap:
         bounds = specifications(investigation.vehicle)[GRIP]
         known[GRIP] = Unknown(GRIP, grip, 1.0, *investigation.limits.get(GRIP, (bounds.low, bounds.high)))
         free = [known[name] for name in names if name in known and known[name].low < known[name].high]
-        return [replace(each, sigma=SPREAD * abs(each.start)) for each in free if each.start]
+        return [
+            replace(
+                each,
+                sigma=SPREAD * each.start,
+                low=max(each.low, each.start / REACH),
+                high=min(each.high, each.start * REACH),
+            )
+            for each in free
+            if each.start > 0.0
+        ]
 
     def _stages(self, unknowns: Sequence[Unknown]) -> list[str]:
         """Return the stages whose outcome depends on any of the unknowns."""
@@ -206,22 +244,26 @@ class _Gap:
         ]
 
 
+def ranges(investigation: Investigation, numbers: Numbers) -> dict[str, tuple[float, float, float]]:
+    """Return value and 95 % interval of every wrong number: one whose interval leaves out the configured value."""
+    table = values(investigation.vehicle)
+    found = intervals(investigation, numbers.found) if numbers.gained else {}
+    told = {name: found[name] for name in numbers.gained}
+    return {name: row for name, row in told.items() if not row[1] <= float(table[name]) <= row[2]}
+
+
 def as_configured(investigation: Investigation, numbers: Numbers, error: float) -> dict[str, Any]:
     """Return what a verdict says of the numbers as configured; `error` is that of the vehicle as configured."""
-    ranges = intervals(investigation, numbers.found) if numbers.gained else {}
-    table = values(investigation.vehicle)
     changes = [
         {
             "parameter": name,
-            "what": group,
-            "from": float(table[name]),
+            "what": NUMBERS[name],
+            "from": float(values(investigation.vehicle)[name]),
             "to": value,
             "ci95": [low, high],
-            "explained": gained.share,
-            "stages": list(gained.stages),
+            "explained": numbers.gained[name].share,
+            "stages": list(numbers.gained[name].stages),
         }
-        for group, gained in numbers.gained.items()
-        for name, (value, low, high) in ranges.items()
-        if name in GROUPS[group] and not low <= float(table[name]) <= high
+        for name, (value, low, high) in ranges(investigation, numbers).items()
     ]
     return {"error": error, "explained": numbers.explained, "changes": changes, "rest": numbers.rest}

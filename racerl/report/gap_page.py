@@ -70,7 +70,7 @@ def numbers_told(configured: dict[str, Any]) -> list[str]:
         for row in configured["changes"]
     ]
     if lines and configured["rest"]:
-        lines.append(f"a refit of all numbers takes {configured['rest']:.0%} more of the gap; model.yaml has that one")
+        lines.append(f"a refit of all parameters around that, which model.yaml is, takes {configured['rest']:.0%} more")
     return lines
 
 
