@@ -15,7 +15,8 @@ from racerl.estimation.pseudo_huber import pseudo_huber
 from racerl.estimation.unknowns import Unknowns
 from racerl.gap.evidence import Evidence
 from racerl.gap.fit_data import FitData, sampled
-from racerl.gap.fitted_model import LONGEST, FittedModel, fit_model, settled_fit
+from racerl.gap.fitted_model import LONGEST, FittedModel, begun, fit_model, settled_fit
+from racerl.gap.stage_fit import StageFit
 from racerl.vehicle.parameter import replace_values
 from racerl.vehicle.vehicle import Vehicle
 
@@ -24,6 +25,8 @@ NOTHING: frozenset[str] = frozenset()
 SHARE = 0.1  # of a channel's misfit that counts as noise in its weight
 GROWTH = (10, 30)  # samples of the windows that are looked at first: errors grow less crooked in them
 STARTS, TWICE = 6, 0.01  # most starts; share by which two that end at the best differ
+CARRIED = 3  # times that a fit which still falls is carried on
+CROSSED, GAINED = 10, 0.001  # times that windows begin anew; share by which the fit must get better by it
 EVEN = 0.05  # excess over the noise's cost at which an actuator's command counts as rightly timed
 PROBE, MENDED = 0.1, 0.15  # of a sample earlier must take so much of an excess away for a command's timing to matter
 
@@ -88,15 +91,43 @@ def fit_nominal(data: FitData, starts: Sequence[Vehicle]) -> tuple[FitData, Nomi
     while len(found) < len(starts) and not _met_twice(data, found):
         found += data.workers.each(lambda start: grown(data, start), starts[len(found) : len(found) + 2])
     best = min(found, key=lambda each: loss(data, each))
+    for _ in range(CROSSED):
+        other = _crossed(data, best, found)
+        if loss(data, other) > (1.0 - GAINED) * loss(data, best):
+            break
+        best = other
     data = _weighed(data, best)
     model = settled_fit(data, NOTHING, best.vehicle, best)
     return replace(data, strength=model.strength), Nominal(model, _met_twice(data, found))
 
 
 def _met_twice(data: FitData, found: Sequence[FittedModel]) -> bool:
-    """Return whether the two best fits ended at the same cost."""
-    losses = sorted(loss(data, each) for each in found)
-    return len(losses) > 1 and losses[1] <= (1.0 + TWICE) * losses[0]
+    """Return whether the two best fits ended at the same cost; one that still falls has not ended."""
+    best = sorted(found, key=lambda each: loss(data, each))[:2]
+    if len(best) < 2 or not all(each.fit.converged for each in best):
+        return False
+    return loss(data, best[1]) <= (1.0 + TWICE) * loss(data, best[0])
+
+
+def _crossed(data: FitData, best: FittedModel, found: Sequence[FittedModel]) -> FittedModel:
+    """Return the best fit carried on with every window begun where any of the fits begins it, whichever fits it best.
+
+    At the limit of grip a window has several initial states that no small step betters: fits differ by which they met.
+    """
+    initial = {}
+    for stage in best.problem.stages:
+        work, name = StageFit(stage.at(best.theta), {}, None), stage.evidence.stage.name
+        ways = [settled_from(work, begun(stage, each.initial, None)) for each in (best, *found)]
+        cost = np.nan_to_num([way[0] for way in ways], nan=np.inf)
+        rows = np.choose(np.argmin(cost, axis=0), [way[1] for way in ways])
+        initial[name] = dict(zip(stage.rollout.vehicle.states, rows, strict=True))
+    return settled_fit(data, NOTHING, best.vehicle, replace(best, initial=initial))
+
+
+def settled_from(work: StageFit, initial: Array) -> tuple[Array, Array]:
+    """Return the cost of every window (W,) from there, and where it begins once its state has settled, (S, W)."""
+    work.initial = initial.copy()
+    return work.settled(), work.initial
 
 
 def loss(data: FitData, found: FittedModel) -> float:
@@ -125,7 +156,12 @@ def grown(data: FitData, vehicle: Vehicle) -> FittedModel:
             part = replace(data, evidence=shorter)
             found = settled_fit(part, NOTHING, vehicle, None, index=index, strength=strength)
             vehicle, strength = found.vehicle, found.strength
-    return settled_fit(data, NOTHING, vehicle, None, strength=strength)
+    found = settled_fit(data, NOTHING, vehicle, None, strength=strength)
+    for _ in range(CARRIED):
+        if found.fit.converged:
+            break
+        found = settled_fit(data, NOTHING, found.vehicle, found)
+    return found
 
 
 def _parted(data: FitData, length: int) -> dict[str, Evidence]:

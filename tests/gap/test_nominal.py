@@ -2,6 +2,7 @@
 
 import shutil
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from racerl.gap import nominal
 from racerl.gap.candidates import add, converged, everywhere, joined
 from racerl.gap.screening import Screened, screen
+from racerl.gap.stage_fit import StageFit
 from racerl.vehicle.parameter import replace_values, values
 from tests.gap.conftest import configured, drive, investigate
 
@@ -128,3 +130,31 @@ def test_a_refit_that_is_at_no_minimum_says_why(clean, monkeypatch):
     monkeypatch.setattr("racerl.gap.fitted_model.LONGEST", 1)
     monkeypatch.setattr("racerl.gap.fitted_model.ROUNDS", 1)
     assert "the cost still falls after 1 steps" in investigate(clean).nominal.doubts()[-1]
+
+
+def test_fits_that_still_fall_have_not_met(clean):
+    base = investigate(clean).base
+    ended, falling = (SimpleNamespace(cost=base.cost, fit=SimpleNamespace(converged=each)) for each in (True, False))
+    data = investigate(clean)
+    assert nominal._met_twice(data, [ended, ended])
+    assert not nominal._met_twice(data, [ended, falling]) and not nominal._met_twice(data, [ended])
+
+
+def test_a_window_begins_where_any_fit_begins_it_best(clean, monkeypatch):
+    """Two fits, each with half of the windows begun far off: together they begin all of them rightly."""
+    data = investigate(clean)
+    base = data.base
+    far = {}
+    for half in (0, 1):
+        off = {name: {state: rows.copy() for state, rows in states.items()} for name, states in base.initial.items()}
+        for states in off.values():
+            states["v_y"][half::2] += 4.0
+            states["yaw_rate"][half::2] -= 30.0
+        far[half] = replace(base, initial=off)
+    monkeypatch.setattr(StageFit, "settled", lambda work: work.linearise({}).cost)  # no step leads back
+    monkeypatch.setattr(nominal, "settled_fit", lambda data, effects, vehicle, start: start)
+    for one, other in ((0, 1), (1, 0)):
+        crossed = nominal._crossed(data, far[one], [far[other]])
+        for name, states in base.initial.items():
+            for state, rows in states.items():
+                assert np.array_equal(crossed.initial[name][state], rows), (name, state)
