@@ -103,10 +103,9 @@ def fit_nominal(data: FitData, starts: Sequence[Vehicle]) -> tuple[FitData, Nomi
 
 def _met_twice(data: FitData, found: Sequence[FittedModel]) -> bool:
     """Return whether the two best fits ended at the same cost; one that still falls has not ended."""
-    best = sorted(found, key=lambda each: loss(data, each))[:2]
-    if len(best) < 2 or not all(each.fit.converged for each in best):
-        return False
-    return loss(data, best[1]) <= (1.0 + TWICE) * loss(data, best[0])
+    best = sorted((loss(data, each), each.fit.converged) for each in found)[:2]
+    ended = len(best) > 1 and all(converged for _, converged in best)
+    return ended and best[1][0] <= (1.0 + TWICE) * best[0][0]
 
 
 def _crossed(data: FitData, best: FittedModel, found: Sequence[FittedModel]) -> FittedModel:

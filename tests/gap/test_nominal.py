@@ -129,6 +129,8 @@ def test_steps_in_vain_leave_no_trace(clean, monkeypatch):
 def test_a_refit_that_is_at_no_minimum_says_why(clean, monkeypatch):
     monkeypatch.setattr("racerl.gap.fitted_model.LONGEST", 1)
     monkeypatch.setattr("racerl.gap.fitted_model.ROUNDS", 1)
+    monkeypatch.setattr(nominal, "CARRIED", 0)
+    monkeypatch.setattr(nominal, "CROSSED", 0)
     assert "the cost still falls after 1 steps" in investigate(clean).nominal.doubts()[-1]
 
 
@@ -156,5 +158,5 @@ def test_a_window_begins_where_any_fit_begins_it_best(clean, monkeypatch):
     for one, other in ((0, 1), (1, 0)):
         crossed = nominal._crossed(data, far[one], [far[other]])
         for name, states in base.initial.items():
-            for state, rows in states.items():
-                assert np.array_equal(crossed.initial[name][state], rows), (name, state)
+            for state in ("v_y", "yaw_rate") if name == "chassis" else ():  # no other stage depends on them
+                assert np.array_equal(crossed.initial[name][state], states[state]), state
