@@ -1,5 +1,6 @@
 """The plant of the blind test is a sound car, its effects are the contract's, and it knows nothing of racerl."""
 
+import dataclasses
 import re
 from pathlib import Path
 
@@ -127,6 +128,17 @@ def test_cars_on_other_tyres_and_slips_are_other_cars():
     assert min(abs(other - usual) for other in others) > 0.02
     gentle = [log_of(Plant(published(1), slip=slip), run_of(1.0, 1.0, held(0.05, 1.0)))["yaw"][-1, 0] for slip in SLIPS]
     assert gentle == pytest.approx([gentle[0]] * 3, rel=1e-3)  # slips over any speed are alike where they are small
+
+
+def test_a_slippery_floor_changes_the_floor_only():
+    choice = {"seed": 3, "noises": (1.0,), "programmes": ("circles",)}
+    pair = [SETS["clean"](Choice(**choice, floor=floor))[0] for floor in (1.0, 0.5)]
+    grip, slick = (case.car() for case in pair)
+    assert slick == {**grip, "friction": 0.5 * grip["friction"]} and pair[0].name != pair[1].name
+    logs = [simulate([dataclasses.replace(case, minutes=0.4)])[0] for case in pair]
+    assert np.array_equal(logs[0]["delta_ref"], logs[1]["delta_ref"])
+    ends = [log.groupby("run")["v_x"].max().to_numpy() for log in logs]
+    assert len(ends[0]) == 8 and (ends[1] <= ends[0] + 0.1).all()
 
 
 def test_halving_the_step_changes_little():

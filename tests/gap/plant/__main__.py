@@ -50,9 +50,10 @@ def _chosen(options: argparse.Namespace) -> list[Case]:
         velocities=options.velocities,
         family=options.tyre,
         slip=options.slip,
+        floor=options.floor,
     )
     cases = [case for name in options.set for case in SETS[name](choice)]
-    return sorted(cases, key=lambda case: case.name)[: options.limit]
+    return sorted(cases, key=lambda case: case.origin)[: options.limit]
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -69,6 +70,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--velocities", choices=("measured", "differentiated"), default="measured")
     parser.add_argument("--tyre", choices=TYRES, default=MAGIC_FORMULA, help="the tyres' family")
     parser.add_argument("--slip", choices=tuple(SLIPS), default="centre", help="whose speed slips are over")
+    parser.add_argument("--floor", type=float, default=1.0, help="grip of the floor, times each car's own")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--limit", type=int, help="at most so many cases")
     parser.add_argument("--batch", type=int, default=64, help="cars simulated side by side")

@@ -51,6 +51,7 @@ def key(case: Case) -> dict[str, object]:
         "seed": case.seed,
         "tyre": case.family,
         "slip": case.slip,
+        "floor": case.floor,
         "car": case.car(),
     }  # fmt: skip
 

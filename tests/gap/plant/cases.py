@@ -48,12 +48,22 @@ class Case:
     seed: int = 1
     family: str = field(default=MAGIC_FORMULA, repr=False)  # of the tyres
     slip: str = field(default="centre", repr=False)  # the speed that slips are over
+    floor: float = field(default=1.0, repr=False)  # grip of the floor, times the car's own
+
+    @property
+    def origin(self) -> str:
+        """An opaque name, whatever the floor: car, effects, driving and noise are its."""
+        own = "" if (self.family, self.slip) == (MAGIC_FORMULA, "centre") else f" on {self.family}, {self.slip}"
+        return hashlib.sha256(f"{self}{own}".encode()).hexdigest()[:12]
 
     @property
     def name(self) -> str:
         """An opaque name."""
-        own = "" if (self.family, self.slip) == (MAGIC_FORMULA, "centre") else f" on {self.family}, {self.slip}"
-        return hashlib.sha256(f"{self}{own}".encode()).hexdigest()[:12]
+        return (
+            self.origin
+            if self.floor == 1.0
+            else hashlib.sha256(f"{self.origin} {self.floor}".encode()).hexdigest()[:12]
+        )
 
     @property
     def length(self) -> float:
@@ -62,11 +72,12 @@ class Case:
 
     def generator(self, purpose: int) -> np.random.Generator:
         """A generator of its own for each purpose."""
-        return np.random.default_rng([int(self.name, 16), purpose])
+        return np.random.default_rng([int(self.origin, 16), purpose])
 
     def car(self) -> dict[str, float]:
         """The hidden car."""
-        return cars.draw(self.generator(0))
+        car = cars.draw(self.generator(0))
+        return car | {"friction": self.floor * car["friction"]}
 
     def values(self) -> dict[str, dict[str, float]]:
         """The hidden effects' parameters."""
@@ -88,6 +99,7 @@ class Choice:
     velocities: str = "measured"
     family: str = MAGIC_FORMULA
     slip: str = "centre"
+    floor: float = 1.0
 
     def case(
         self, name: str, hidden: Hidden, programme: str, noise: float, number: int = 0, structure: str = "single_track"
@@ -106,6 +118,7 @@ class Choice:
             seed=self.seed,
             family=self.family,
             slip=self.slip,
+            floor=self.floor,
         )
 
 

@@ -157,6 +157,11 @@ def pottering(t: Array, rng: np.random.Generator) -> tuple[Array, Array]:
     return wander(t, rng, 0.01, (4.0, 9.0)), 0.7 + wander(t, rng, 0.07, (6.0, 12.0))
 
 
+def ramping(angle: float) -> Commands:
+    """A throttle ramp of 0.22 m/s² from 1 to 4.5 m/s on the circle that this angle in rad makes."""
+    return lambda t, rng: (angle + 0 * t, np.minimum(1.0 + 0.22 * t, 4.5))
+
+
 def standing(t: Array, rng: np.random.Generator) -> tuple[Array, Array]:
     """No command."""
     return 0 * t, 0 * t

@@ -98,6 +98,14 @@ def short(cars: dict[str, Array], rngs: Generators, minutes: float, direction: s
     return [play(Manoeuvre(manoeuvres.strolling, (0.0, 0.0, 0.0)), minutes * 60, rngs)]
 
 
+def circles(cars: dict[str, Array], rngs: Generators, minutes: float, direction: str) -> list[Run]:
+    """Throttle ramps on two circles, both ways round, eight runs: the steering never moves."""
+    angles = (0.15, -0.15, 0.3, -0.3)
+    return [
+        play(Manoeuvre(manoeuvres.ramping(angles[i % 4]), (0.0, 0.0, 0.0)), minutes * 60 / 8, rngs) for i in range(8)
+    ]
+
+
 def _laps(track: Track, cars: dict[str, Array], rngs: Generators, duration: float) -> Run:
     """One run of laps from a random place on the circuit."""
     start = np.array([rng.integers(len(track.x)) for rng in rngs])
@@ -170,6 +178,7 @@ class Racer:
 PROGRAMMES: dict[str, Programme] = {
     "excitation": Programme(excitation, 5.0, bowl, (0.0, 0.0)),
     "race": Programme(race, 5.0, TrackLean(kidney()), (4.5, 0.2)),
+    "circles": Programme(circles, 128 / 60, bowl, (0.0, 0.0)),
     "slow": Programme(slow, 2.0, bowl, (0.0, 0.0)),
     "still": Programme(still, 0.5, bowl, (0.0, 0.0)),
     "short": Programme(short, 8 / 60, bowl, (0.0, 0.0)),
