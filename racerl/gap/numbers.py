@@ -30,6 +30,8 @@ Array = NDArray[np.float64]
 GRIP = "friction"
 SPREAD = 0.5  # deviation of a number's prior, as a share of it: no more than a restraint
 REACH = 2.5  # times what was configured, or its inverse: what runs further is something else in disguise
+PEAKS = ("front.p_Dy1", "rear.p_Dy1")
+BACK = 0.5  # share of its change that a refit may take back of a number that is told
 MOST = 4  # numbers; a car that differs in more is another car
 
 
@@ -66,7 +68,7 @@ class Numbers:
 def wrong_numbers(investigation: Investigation, named: FittedModel, on_progress: OnProgress = silent) -> Numbers:
     """Return which few numbers explain the gap as configured, beside the effects of a fit."""
     gap = _Gap(investigation, named, unfitted(investigation))
-    few = first = Numbers({}, gap.configured, gap.configured.cost)
+    few = first = gap.as_configured()
     if not all(np.isfinite(part).all() for part in few.cost.values()):  # it blows up: nothing to go on from
         return replace(few, rest=1.0, refitted=named)
     few = first = gap.fitted((), few)
@@ -76,15 +78,32 @@ def wrong_numbers(investigation: Investigation, named: FittedModel, on_progress:
         if best is None:
             break
         few = _pruned(gap, best)
-    few = replace(few, explained=gap.gain(first, few, gap.open()))
     on_progress("numbers", MOST / (MOST + 1))
-    around = _refitted(investigation, few) if few.gained else named
-    whole = {**held_out(investigation, investigation.base), **held_out(investigation, around)}
-    more = replace(few, cost=whole)
-    if not any(gap.gains(few, more, [stage]) for stage in gap.open()):
+    few, around = _confirmed(gap, few)
+    few = replace(few, explained=gap.gain(first, few, gap.open()))
+    if around is None:
         return few
-    rest = sum(max(gap.fall(few, more, stage), 0.0) for stage in gap.open()) / gap.excess
-    return replace(few, rest=min(rest, gap.share(few.cost)), refitted=around)
+    rest = sum(max(gap.fall(few, around, stage), 0.0) for stage in gap.open()) / gap.excess
+    rest = min(max(rest, gap.gain(few, around, gap.open())), gap.share(few.cost))
+    return replace(few, rest=rest, refitted=around.found)
+
+
+def _confirmed(gap: "_Gap", few: Numbers) -> tuple[Numbers, Numbers | None]:
+    """Return the numbers that a refit of everything leaves near where they are told, and that refit if it is asked for.
+
+    What a refit takes back was something else in disguise: a yaw inertia in place of a tyre's shape.
+    """
+    named = gap.held_out(gap.named)
+    while True:
+        around = gap.held_out(_refitted(gap.investigation, few)) if few.gained else named
+        if any(gap.gains(around, named, [stage]) for stage in gap.open()):
+            around = named
+        if not any(gap.gains(few, around, [stage]) for stage in gap.open()):
+            return few, None
+        kept = [name for name in few.gained if gap.stays(name, few, around)]
+        if len(kept) == len(few.gained):
+            return few, around
+        few = gap.fitted(kept, few) if kept or gap.named.effects else gap.as_configured()
 
 
 def _best(gap: "_Gap", few: Numbers) -> Numbers | None:
@@ -117,6 +136,12 @@ def _refitted(investigation: Investigation, few: Numbers) -> FittedModel:
     ]
     data = replace(investigation, unknowns=around)
     return settled_fit(data, few.found.effects, few.found.vehicle, few.found, stages=list(investigation.evidence))
+
+
+def _size(name: str, theta: Mapping[str, float]) -> float:
+    """Return a number; of the grip of the floor, which a refit gives to the tyres, what all of them get of it."""
+    shared = [theta[peak] for peak in PEAKS] if name == GRIP else [1.0]
+    return theta[name] * float(np.mean(shared))
 
 
 @dataclass(frozen=True)
@@ -172,6 +197,21 @@ class _Gap:
         """Return whether what one fit explains more is enough to tell of: of the gap, or of what is left of it."""
         share = self.gain(few, more, stages)
         return self.gains(few, more, stages) and (share > WORTH or share > ALL * self.share(few.cost, stages))
+
+    def as_configured(self) -> Numbers:
+        """Return no numbers: the vehicle as configured."""
+        return Numbers({}, self.configured, self.configured.cost)
+
+    def held_out(self, found: FittedModel) -> Numbers:
+        """Return a fit of everything, by its cost on held-out windows."""
+        cost = {**held_out(self.investigation, self.investigation.base), **held_out(self.investigation, found)}
+        return Numbers({}, found, cost)
+
+    def stays(self, name: str, told: Numbers, refit: Numbers) -> bool:
+        """Return whether a refit takes back less than half of what a number was changed by."""
+        configured = {key: float(value) for key, value in values(self.investigation.vehicle).items()}
+        was, there, now = (_size(name, theta) for theta in (configured, told.found.theta, refit.found.theta))
+        return abs(now - there) < BACK * abs(there - was)
 
     def in_reach(self, numbers: Numbers) -> bool:
         """Return whether every number stayed inside its bounds."""

@@ -106,9 +106,11 @@ def test_what_no_few_numbers_explain_is_left_to_a_refit_around_them():
     ]
     investigation = investigate(drive("vehicle.friction=0.5", *shape))
     numbers = wrong_numbers(investigation, investigation.base)
-    assert numbers.rest > 0.0 and numbers.explained + numbers.rest == pytest.approx(1.0, abs=0.06)
-    assert "friction" in numbers.gained  # what no refit frees stays as told
-    assert numbers.vehicle.theta["friction"] == numbers.found.theta["friction"] != 0.8
+    assert numbers.rest > 0.0 and numbers.explained + numbers.rest > 0.8 and numbers.vehicle is numbers.refitted
+    asked = values(configured()[0])
+    for name in set(numbers.gained) - {"friction"}:  # what the refit takes back is not told
+        told, refit = numbers.found.theta[name] - asked[name], numbers.vehicle.theta[name] - asked[name]
+        assert refit / told > 0.5
 
 
 def test_a_number_that_runs_away_is_not_told(off, monkeypatch):
