@@ -1,4 +1,4 @@
-"""The numbers that a user configures and may have wrong, each a group of its own, in the user's words.
+"""The numbers that a user configures and may have wrong, in the user's words.
 
 Mass is weighed, and motion shows only ratios to it; more drag than configured is an effect.
 """

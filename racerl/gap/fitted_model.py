@@ -179,7 +179,11 @@ def _free(data: FitData, vehicle: Vehicle, effect: str) -> list[Unknown]:
 
 def touched(data: FitData, vehicle: Vehicle, effects: Iterable[str]) -> list[str]:
     """Return the stages whose outcome depends on a parameter of the effects."""
-    unknowns = [unknown for effect in effects for unknown in _free(data, vehicle, effect)]
+    return stages_with(data, vehicle, [unknown for effect in effects for unknown in _free(data, vehicle, effect)])
+
+
+def stages_with(data: FitData, vehicle: Vehicle, unknowns: Sequence[Unknown]) -> list[str]:
+    """Return the stages whose outcome depends on any of the unknowns."""
     return [
         name
         for name, evidence in data.evidence.items()

@@ -116,7 +116,8 @@ def _crossed(data: FitData, best: FittedModel, found: Sequence[FittedModel]) -> 
     initial = {}
     for stage in best.problem.stages:
         work, name = StageFit(stage.at(best.theta), {}, None), stage.evidence.stage.name
-        ways = [settled_from(work, begun(stage, each.initial, None)) for each in (best, *found)]
+        others = [each for each in found if each is not best]
+        ways = [settled_from(work, begun(stage, each.initial, None)) for each in (best, *others)]
         cost = np.nan_to_num([way[0] for way in ways], nan=np.inf)
         rows = np.choose(np.argmin(cost, axis=0), [way[1] for way in ways])
         initial[name] = dict(zip(stage.rollout.vehicle.states, rows, strict=True))

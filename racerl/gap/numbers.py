@@ -18,10 +18,9 @@ from racerl.gap.candidates import unfitted
 from racerl.gap.comparison import ALL, CLEAR, REAL, WORTH, Judge, total, wild
 from racerl.gap.configurable import NUMBERS
 from racerl.gap.cross_validation import held_out
-from racerl.gap.fitted_model import COG, LONGEST, FittedModel, fit_model, settled_fit, unknowns_with
+from racerl.gap.fitted_model import COG, LONGEST, FittedModel, fit_model, settled_fit, stages_with, unknowns_with
 from racerl.gap.investigation import Investigation
 from racerl.gap.progress import OnProgress, silent
-from racerl.gap.stage_problem import StageProblem
 from racerl.gap.uncertainty import intervals
 from racerl.vehicle.parameter import replace_values, specifications, values
 from racerl.vehicle.vehicle import Vehicle
@@ -68,7 +67,7 @@ class Numbers:
 def wrong_numbers(investigation: Investigation, named: FittedModel, on_progress: OnProgress = silent) -> Numbers:
     """Return which few numbers explain the gap as configured, beside the effects of a fit."""
     gap = _Gap(investigation, named, unfitted(investigation))
-    few = first = gap.as_configured()
+    few = gap.unchanged
     if not all(np.isfinite(part).all() for part in few.cost.values()):  # it blows up: nothing to go on from
         return replace(few, rest=1.0, refitted=named)
     few = first = gap.fitted((), few)
@@ -80,11 +79,11 @@ def wrong_numbers(investigation: Investigation, named: FittedModel, on_progress:
         few = _pruned(gap, best)
     on_progress("numbers", MOST / (MOST + 1))
     few, around = _confirmed(gap, few)
-    few = replace(few, explained=gap.gain(first, few, gap.open()))
+    few = replace(few, explained=gap.gain(first, few, gap.open))
     if around is None:
         return few
-    rest = sum(max(gap.fall(few, around, stage), 0.0) for stage in gap.open()) / gap.excess
-    rest = min(max(rest, gap.gain(few, around, gap.open())), gap.share(few.cost))
+    rest = sum(max(gap.fall(few, around, stage), 0.0) for stage in gap.open) / gap.excess
+    rest = min(max(rest, gap.gain(few, around, gap.open)), gap.share(few.cost))
     return replace(few, rest=rest, refitted=around.found)
 
 
@@ -96,14 +95,14 @@ def _confirmed(gap: "_Gap", few: Numbers) -> tuple[Numbers, Numbers | None]:
     named = gap.held_out(gap.named)
     while True:
         around = gap.held_out(_refitted(gap.investigation, few)) if few.gained else named
-        if any(gap.gains(around, named, [stage]) for stage in gap.open()):
+        if any(gap.gains(around, named, [stage]) for stage in gap.open):
             around = named
-        if not any(gap.gains(few, around, [stage]) for stage in gap.open()):
+        if not any(gap.gains(few, around, [stage]) for stage in gap.open):
             return few, None
         kept = [name for name in few.gained if gap.stays(name, few, around)]
         if len(kept) == len(few.gained):
             return few, around
-        few = gap.fitted(kept, few) if kept or gap.named.effects else gap.as_configured()
+        few = gap.fitted(kept, few) if kept or gap.named.effects else gap.unchanged
 
 
 def _best(gap: "_Gap", few: Numbers) -> Numbers | None:
@@ -157,21 +156,22 @@ class _Gap:
         """What tells a clear gain."""
         return Judge(self.investigation, self.configured.cost)
 
+    @cached_property
     def open(self) -> list[str]:
-        """Return the stages in which there is a gap."""
+        """The stages in which there is a gap."""
         floor = self.investigation.floor
         return [stage for stage in floor if self._excess(self.configured.cost, stage) > REAL * floor[stage]]
 
     def share(self, cost: Mapping[str, Array], stages: Sequence[str] | None = None) -> float:
         """Return what windows' costs (W,) leave of the gap as configured, over what noise costs, in some stages."""
-        among = [stage for stage in self.open() if stages is None or stage in stages]
+        among = [stage for stage in self.open if stages is None or stage in stages]
         left, had = (total(self._excess(each, stage) for stage in among) for each in (cost, self.configured.cost))
         return left / max(had, 1e-9)
 
     @cached_property
     def excess(self) -> float:
         """The cost of the vehicle as configured beyond that of noise, over the stages with a gap."""
-        return total(self._excess(self.configured.cost, stage) for stage in self.open())
+        return total(self._excess(self.configured.cost, stage) for stage in self.open)
 
     def _excess(self, cost: Mapping[str, Array], stage: str) -> float:
         most = wild(self.investigation, stage, self.configured.cost[stage])
@@ -198,8 +198,9 @@ class _Gap:
         share = self.gain(few, more, stages)
         return self.gains(few, more, stages) and (share > WORTH or share > ALL * self.share(few.cost, stages))
 
-    def as_configured(self) -> Numbers:
-        """Return no numbers: the vehicle as configured."""
+    @property
+    def unchanged(self) -> Numbers:
+        """No numbers: the vehicle as configured."""
         return Numbers({}, self.configured, self.configured.cost)
 
     def held_out(self, found: FittedModel) -> Numbers:
@@ -219,7 +220,11 @@ class _Gap:
 
     def stages_of(self, name: str) -> list[str]:
         """Return the stages with a gap that a number acts in."""
-        return [stage for stage in self._stages(self._unknowns([name])) if stage in self.open()]
+        return [
+            stage
+            for stage in stages_with(self.investigation, self.named.vehicle, self._unknowns([name]))
+            if stage in self.open
+        ]
 
     def possible(self) -> list[str]:
         """Return the numbers that the log's stages depend on; a displaced centre of gravity is one already."""
@@ -230,7 +235,7 @@ class _Gap:
         """Return the vehicle with its effects and some numbers fitted, from where others ended."""
         own = unknowns_with(self.investigation, self.named.effects, self.named.vehicle)
         free = [*(unknown for unknown in own if unknown.effect), *self._unknowns(names)]
-        stages = self._stages(free)
+        stages = stages_with(self.investigation, self.named.vehicle, free)
         if not stages:
             return start
         configured = values(self.investigation.vehicle)
@@ -274,36 +279,26 @@ class _Gap:
             if each.start > 0.0
         ]
 
-    def _stages(self, unknowns: Sequence[Unknown]) -> list[str]:
-        """Return the stages whose outcome depends on any of the unknowns."""
-        vehicle, kernels = self.named.vehicle, self.investigation.kernels
-        return [
-            name
-            for name, evidence in self.investigation.evidence.items()
-            if StageProblem.touched(evidence, kernels[name], vehicle, unknowns)
-        ]
-
-
-def ranges(investigation: Investigation, numbers: Numbers) -> dict[str, tuple[float, float, float]]:
-    """Return value and 95 % interval of every wrong number: one whose interval leaves out the configured value."""
-    table = values(investigation.vehicle)
-    found = intervals(investigation, numbers.found) if numbers.gained else {}
-    told = {name: found[name] for name in numbers.gained}
-    return {name: row for name, row in told.items() if not row[1] <= float(table[name]) <= row[2]}
-
 
 def as_configured(investigation: Investigation, numbers: Numbers, error: float) -> dict[str, Any]:
-    """Return what a verdict says of the numbers as configured; `error` is that of the vehicle as configured."""
+    """Return what a verdict says of the numbers as configured; `error` is that of the vehicle as configured.
+
+    A number whose interval holds the configured one is not told.
+    """
+    ranges = intervals(investigation, numbers.found) if numbers.gained else {}
+    table = {name: float(value) for name, value in values(investigation.vehicle).items()}
     changes = [
         {
             "parameter": name,
             "what": NUMBERS[name],
-            "from": float(values(investigation.vehicle)[name]),
+            "from": table[name],
             "to": value,
             "ci95": [low, high],
-            "explained": numbers.gained[name].share,
-            "stages": list(numbers.gained[name].stages),
+            "explained": gained.share,
+            "stages": list(gained.stages),
         }
-        for name, (value, low, high) in ranges(investigation, numbers).items()
+        for name, gained in numbers.gained.items()
+        for value, low, high in [ranges[name]]
+        if not low <= table[name] <= high
     ]
     return {"error": error, "explained": numbers.explained, "changes": changes, "rest": numbers.rest}

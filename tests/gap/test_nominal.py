@@ -135,9 +135,9 @@ def test_a_refit_that_is_at_no_minimum_says_why(clean, monkeypatch):
 
 
 def test_fits_that_still_fall_have_not_met(clean):
-    base = investigate(clean).base
-    ended, falling = (SimpleNamespace(cost=base.cost, fit=SimpleNamespace(converged=each)) for each in (True, False))
     data = investigate(clean)
+    cost = data.base.cost
+    ended, falling = (SimpleNamespace(cost=cost, fit=SimpleNamespace(converged=each)) for each in (True, False))
     assert nominal._met_twice(data, [ended, ended])
     assert not nominal._met_twice(data, [ended, falling]) and not nominal._met_twice(data, [ended])
 

@@ -25,11 +25,15 @@ def off():
     return drive(*(f"vehicle.{name}={value}" for name, value in OFF.items()))
 
 
-def test_wrong_numbers_are_found_with_their_values_and_nothing_else_is_changed(off):
-    investigation = investigate(off, "yaw_damping")
-    decision = name_effects(investigation)
-    numbers = wrong_numbers(investigation, decision.found)
-    facts = as_configured(investigation, numbers, 3.0)
+@pytest.fixture(scope="module")
+def refitted(off):
+    return investigate(off, "yaw_damping")
+
+
+def test_wrong_numbers_are_found_with_their_values_and_nothing_else_is_changed(refitted):
+    decision = name_effects(refitted)
+    numbers = wrong_numbers(refitted, decision.found)
+    facts = as_configured(refitted, numbers, 3.0)
     assert not decision.found.effects and facts["rest"] == 0.0 and facts["error"] == 3.0
     assert {row["parameter"]: row["to"] for row in facts["changes"]} == pytest.approx(OFF, rel=0.02)
     assert all(row["ci95"][0] <= row["to"] <= row["ci95"][1] for row in facts["changes"])
@@ -38,19 +42,18 @@ def test_wrong_numbers_are_found_with_their_values_and_nothing_else_is_changed(o
     assert {name: found[name] for name in found if name not in OFF} == {n: asked[n] for n in asked if n not in OFF}
 
 
-def test_what_is_held_is_not_found_wrong(off):
-    kept = investigate(off).limited({"friction": (0.8, 0.8)})
+def test_what_is_held_is_not_found_wrong(refitted):
+    kept = refitted.limited({"friction": (0.8, 0.8)})
     numbers = wrong_numbers(kept, kept.base)
     assert "friction" not in numbers.gained and float(numbers.found.vehicle.friction) == 0.8
     assert numbers.gained  # grip of the tyres, say, stands in for it
 
 
-def test_a_vehicle_that_blows_up_is_left_to_the_refit(off, monkeypatch):
-    investigation = investigate(off)
-    broken = replace(investigation.base, cost={**investigation.base.cost, "chassis": np.full(5, np.inf)})
+def test_a_vehicle_that_blows_up_is_left_to_the_refit(refitted, monkeypatch):
+    broken = replace(refitted.base, cost={**refitted.base.cost, "chassis": np.full(5, np.inf)})
     monkeypatch.setattr(numbers_module, "unfitted", lambda investigation: broken)
-    numbers = wrong_numbers(investigation, investigation.base)
-    assert not numbers.gained and numbers.rest == 1.0 and numbers.vehicle is investigation.base
+    numbers = wrong_numbers(refitted, refitted.base)
+    assert not numbers.gained and numbers.rest == 1.0 and numbers.vehicle is refitted.base
 
 
 def test_the_vehicle_that_is_written_has_the_numbers_told_and_is_the_one_that_was_proved(off, tmp_path):
@@ -113,10 +116,9 @@ def test_what_no_few_numbers_explain_is_left_to_a_refit_around_them():
         assert refit / told > 0.5
 
 
-def test_a_number_that_runs_away_is_not_told(off, monkeypatch):
+def test_a_number_that_runs_away_is_not_told(refitted, monkeypatch):
     monkeypatch.setattr(numbers_module, "REACH", 1.2)
-    investigation = investigate(off)
-    gained = wrong_numbers(investigation, investigation.base).gained
+    gained = wrong_numbers(refitted, refitted.base).gained
     assert not {"friction", "yaw_inertia", "steering.time_constant"} & set(gained)  # each is off by more than that
 
 

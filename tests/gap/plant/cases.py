@@ -59,11 +59,9 @@ class Case:
     @property
     def name(self) -> str:
         """An opaque name."""
-        return (
-            self.origin
-            if self.floor == 1.0
-            else hashlib.sha256(f"{self.origin} {self.floor}".encode()).hexdigest()[:12]
-        )
+        if self.floor == 1.0:
+            return self.origin
+        return hashlib.sha256(f"{self.origin} {self.floor}".encode()).hexdigest()[:12]
 
     @property
     def length(self) -> float:
