@@ -93,6 +93,7 @@ def test_warnings_reach_the_user(tmp_path, monkeypatch, run):
     assert done.returncode == 0 and done.stderr.count("no C compiler found") == 1, done
 
 
+@pytest.mark.slow
 def test_multirun_gives_each_job_its_folder(tmp_path, run):
     done = run("train", "-m", "dr=none,friction_0.1", "budget=smoke", "budget.steps=1024", "out=sweep")
     assert done.returncode == 0, done.stderr

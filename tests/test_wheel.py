@@ -12,6 +12,7 @@ import racerl
 ROOT = Path(racerl.__file__).parent.parent
 
 
+@pytest.mark.slow
 def test_a_wheel_carries_its_configurations(tmp_path):
     build = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", str(tmp_path), str(ROOT)]
     done = subprocess.run(build, capture_output=True, text=True, timeout=300)

@@ -99,7 +99,9 @@ def test_the_report_has_the_row(scripted, smoke_evaluation, tmp_path):
     assert "script" in everything
 
 
-@pytest.mark.parametrize("words", [["car=twin"], ["car=twin", CURRENT]], ids=" ".join)
+@pytest.mark.parametrize(
+    "words", [["car=twin", CURRENT], pytest.param(["car=twin"], marks=pytest.mark.slow)], ids=" ".join
+)
 def test_the_twin_is_driven_in_both_modes(words, tmp_path):
     metrics = driven(tmp_path / "out", "input=script", "laps=1", *words)
     assert metrics["car"] == "twin" and metrics["valid_laps"] == 1 and metrics["nan_cars"] == 0

@@ -392,6 +392,7 @@ def test_what_one_block_tells_is_known_no_better_than_its_own_noise():
 
 
 @needs_compiler
+@pytest.mark.slow
 def test_a_hidden_effect_is_named_and_measured(damped):
     decision = name_effects(investigate(damped, "yaw_damping", "aero_drag", "steering_delay", "wheel_speed_gain"))
     assert decision.chosen == ["yaw_damping"]
@@ -495,6 +496,7 @@ def test_one_pass_over_the_catalogue_puts_the_hidden_effect_first(damped):
 
 
 @needs_compiler
+@pytest.mark.slow
 def test_the_score_takes_priors_as_strong_as_the_fit(damped):
     """What the vehicle's own parameters cannot take up for strong priors counts for an effect."""
     investigation = investigate(damped, "locked_differential")

@@ -56,6 +56,7 @@ def test_where_it_starts_does_not_matter(stiff, found):
         assert other.base.theta[name] == pytest.approx(found.base.theta[name], rel=0.02)
 
 
+@pytest.mark.slow
 def test_two_starts_that_end_apart_ask_for_more(stiff, monkeypatch):
     """The fit tries other starts until the best end is met twice."""
     grown, ends = nominal.grown, []
@@ -71,6 +72,7 @@ def test_two_starts_that_end_apart_ask_for_more(stiff, monkeypatch):
     assert found.nominal.doubts() == []
 
 
+@pytest.mark.slow
 def test_a_refit_that_is_met_once_only_is_doubted(clean, monkeypatch):
     losses = iter(range(1, 1000))
     monkeypatch.setattr(nominal, "loss", lambda *asked: float(next(losses)))

@@ -56,21 +56,23 @@ def test_a_vehicle_that_blows_up_is_left_to_the_refit(refitted, monkeypatch):
     assert not numbers.gained and numbers.rest == 1.0 and numbers.vehicle is refitted.base
 
 
-def test_the_vehicle_that_is_written_has_the_numbers_told_and_is_the_one_that_was_proved(off, tmp_path):
-    priors = {**settings_for(off, tmp_path)["priors"], "steering.time_constant": None}
-    held = {"hold": ["yaw_inertia"], "priors": priors}
-    for changes, known in (({}, set(OFF)), (held, {"friction"})):
-        out = tmp_path / str(len(changes))
-        facts = gap(settings_for(off, tmp_path, "yaw_damping", **changes), out)
-        told = {row["parameter"]: row["to"] for row in facts["configured"]["changes"]}
-        assert set(told) >= known and not set(told) & (set(OFF) - known)
-        written = values(load_vehicle({"file": str(out / "model.yaml")}))
-        if not facts["configured"]["rest"]:
-            assert {name: written[name] for name in told} == pytest.approx(told, rel=1e-4)
-            assert facts["verdict"] == "none" and facts["gap"]["after"] < 1.1
-    assert re.search("Grip of the floor: 3[78]% less than configured", draw_gap(tmp_path / "0").read_text())
+@pytest.mark.parametrize(
+    ("hold", "known"), [((), set(OFF)), pytest.param(("yaw_inertia",), {"friction"}, marks=pytest.mark.slow)]
+)
+def test_the_vehicle_that_is_written_has_the_numbers_told_and_is_the_one_that_was_proved(off, tmp_path, hold, known):
+    priors, out = settings_for(off, tmp_path)["priors"], tmp_path / "out"
+    held = {"hold": list(hold), "priors": {**priors, "steering.time_constant": None}} if hold else {}
+    facts = gap(settings_for(off, tmp_path, "yaw_damping", **held), out)
+    told = {row["parameter"]: row["to"] for row in facts["configured"]["changes"]}
+    assert set(told) >= known and not set(told) & (set(OFF) - known)
+    written = values(load_vehicle({"file": str(out / "model.yaml")}))
+    if not facts["configured"]["rest"]:
+        assert {name: written[name] for name in told} == pytest.approx(told, rel=1e-4)
+        assert facts["verdict"] == "none" and facts["gap"]["after"] < 1.1
+    assert re.search("Grip of the floor: 3[78]% less than configured", draw_gap(out).read_text())
 
 
+@pytest.mark.slow
 def test_a_right_vehicle_stays_as_it_is(clean, tmp_path):
     settings = settings_for(clean, tmp_path, "yaw_damping")
     facts = gap(settings, tmp_path / "out")
@@ -102,6 +104,7 @@ def test_an_effect_and_a_wrong_number_are_told_apart():
     assert float(numbers.found.vehicle.friction) == pytest.approx(0.6, rel=0.05)
 
 
+@pytest.mark.slow
 def test_what_no_few_numbers_explain_is_left_to_a_refit_around_them():
     """Less grip, and tyres of another shape."""
     shape = [

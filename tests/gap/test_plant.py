@@ -119,6 +119,7 @@ def test_tyres_of_other_families_share_stiffness_and_peak(family):
     assert np.allclose([forces(curves, -each) / curves.peak for each in slip], -ends)
 
 
+@pytest.mark.slow
 def test_cars_on_other_tyres_and_slips_are_other_cars():
     def end(**kind):
         return log_of(Plant(published(1), **kind), run_of(3.0, 2.5, lively(1.0, 1)))["yaw"][-1, 0]
@@ -130,6 +131,7 @@ def test_cars_on_other_tyres_and_slips_are_other_cars():
     assert gentle == pytest.approx([gentle[0]] * 3, rel=1e-3)  # slips over any speed are alike where they are small
 
 
+@pytest.mark.slow
 def test_a_slippery_floor_changes_the_floor_only():
     choice = {"seed": 3, "noises": (1.0,), "programmes": ("circles",)}
     pair = [SETS["clean"](Choice(**choice, floor=floor))[0] for floor in (1.0, 0.5)]

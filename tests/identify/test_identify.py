@@ -102,6 +102,7 @@ def test_the_page_begins_with_the_verdict_and_folds_the_parameters(lacking):
     assert f'worse">× {factors["v_x"]:.2f}<' in rows["v_x"] and "worse" not in rows["yaw_rate"]
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_files_on_one_thread_and_two(hidden, tmp_path):
     log = pd.read_parquet(hidden / "log.parquet")
     log[log["run"] < 2].to_parquet(tmp_path / "log.parquet")
@@ -124,7 +125,7 @@ def test_scoring_alone_changes_nothing(identified, hidden, tmp_path):
 @pytest.mark.parametrize(
     "missing",
     [
-        ("delta",),
+        pytest.param(("delta",), marks=pytest.mark.slow),
         pytest.param(("delta_ref", "omega_ref"), marks=pytest.mark.slow),
         pytest.param(("delta_ref", "omega"), marks=pytest.mark.slow),
         pytest.param(("x", "y", "yaw"), marks=pytest.mark.slow),

@@ -37,6 +37,7 @@ def problem(hidden):
     return Objective(rollout, unknowns, windows.windows, scale, np.ones(len(scale)), penalty=1e-6), windows
 
 
+@pytest.mark.slow
 def test_adamw_and_gauss_newton_agree_within_their_intervals(problem):
     objective, windows = problem
     start = objective.start(objective.unknowns.start)

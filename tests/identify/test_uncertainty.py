@@ -4,6 +4,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from racerl.estimation.unknowns import Unknowns
 from racerl.identify.methods import Fit
@@ -70,6 +71,7 @@ def test_intervals_cover_the_truth():
     assert 0.88 <= np.mean(inside) <= 0.99
 
 
+@pytest.mark.slow
 def test_intervals_cover_a_truth_that_was_not_expected():
     """A prior eight deviations off draws the fit back by more than its noise; the interval reaches the truth."""
     for run in (np.arange(24), np.zeros(24, dtype=int)):  # by resampling, and from few blocks' curvature

@@ -68,6 +68,7 @@ def held(found):
     return found[1]
 
 
+@pytest.mark.slow
 def test_it_settles_from_the_best_of_its_guesses(best, parts):
     assert abs(best.meshes[-1]["time_s"] / best.meshes[-2]["time_s"] - 1) < 1e-3
     problem = Collocation(*(parts[0], parts[2]), best.corridor, best.meshes[0]["intervals"])
@@ -97,6 +98,7 @@ def test_held_commands_drive_the_lap_in_the_race_integrator(make, parts, best, h
     assert np.abs(rate).max() <= action.rate_max * (1 + 1e-6)
 
 
+@pytest.mark.slow
 def test_a_mirrored_track_takes_as_long(parts, coarse):
     vehicle, track, action = parts
     mirrored = replace(
@@ -121,6 +123,7 @@ def coarse_time(vehicle, track, action) -> float:
     return problem.solve(problem.guess(SLIDING[-1])).time
 
 
+@pytest.mark.slow
 def test_grip_room_and_power_make_it_faster(parts, coarse):
     vehicle, track, action = parts
 

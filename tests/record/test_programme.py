@@ -24,9 +24,10 @@ CARS = {
     **{f"hidden {seed}": ["hidden.spread=0.3", f"hidden.seed={seed}", f"seed={seed}"] for seed in range(3)},
     "hidden and slippery": ["hidden.spread=0.3", "hidden.seed=5", "vehicle.friction=0.4"],
 }
+FEW = ("sluggish", "loose tail", "hidden and slippery")
 
 
-@pytest.mark.parametrize("name", CARS)
+@pytest.mark.parametrize("name", [n if n in FEW else pytest.param(n, marks=pytest.mark.slow) for n in CARS])
 def test_the_car_stays_on_the_floor_and_is_excited(name):
     recording, log = drive("seconds=200", *CARS[name])
     assert room_left(recording) > 0.0

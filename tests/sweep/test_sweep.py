@@ -73,6 +73,7 @@ def results(out):
     return weights | {name: (out / name).read_bytes() for name in names}
 
 
+@pytest.mark.slow
 def test_a_sweep_goes_on_where_the_plug_was_pulled_and_trains_shared_arms_once(place, run):
     out = place / "once"
     first = start(place, "out=once")

@@ -162,7 +162,9 @@ def test_squares_are_those_of_what_is_predicted(car, compiled, monkeypatch):
     assert np.allclose(rollout.squares(theta, windows), rollout.accumulate(theta, windows).squares, rtol=1e-9)
 
 
-@pytest.mark.parametrize("compiled", [pytest.param(True, marks=needs_compiler), False])
+@pytest.mark.parametrize(
+    "compiled", [pytest.param(True, marks=needs_compiler), pytest.param(False, marks=pytest.mark.slow)]
+)
 def test_windows_may_have_parameters_of_their_own(car, compiled, monkeypatch):
     """One call for windows × parameter sets, an effect on in one of them, is what a call for each gives."""
     car = dataclasses.replace(car, effects={"aero_drag": AeroDrag(coefficient=0.0)})
