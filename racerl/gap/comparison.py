@@ -1,12 +1,12 @@
 """Comparing fitted models on windows that they have not seen: what a candidate gains, and how sure that is."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from racerl.estimation.blocks import resampled
+from racerl.estimation.blocks import counts, resampled
 from racerl.gap.cross_validation import held_out
 from racerl.gap.fitted_model import FittedModel, touched
 from racerl.gap.folds import blocks
@@ -14,6 +14,7 @@ from racerl.gap.investigation import Investigation
 from racerl.gap.score import Score
 
 Array = NDArray[np.float64]
+Loss = Callable[[str, Array], Array]
 RESAMPLES = 2000
 OUTER = 0.02  # share of the blocks on each side that count no more than their neighbours
 CLEAR = 3.0  # standard errors by which a gain must differ from zero
@@ -25,6 +26,7 @@ EQUAL = 0.05  # share of the excess that a rival may explain less
 PARAMETER = 0.01  # share of the excess that one more parameter must explain
 WILD, TYPICAL = 30.0, 10.0  # mean squared deviation of a wild window, and its cost in median ones
 WORTH = 0.04  # share of the first excess, and of what is left of it before the round, that an effect must explain
+REMAINDER = 0.05  # of the noise's cost, that an effect must take of what a foreign tyre leaves
 REAL = 0.05  # excess cost over the noise's that is real: the noise itself is known to a few percent
 ALL, SMALL = 0.75, 0.01  # shares of what is left, and of the first excess, that are not an earlier effect's wrong form
 LIKE = 0.5  # |cosine| with an effect found before, from which on a small one may mend its form
@@ -58,8 +60,11 @@ class CandidateScore:
     explained: float
     worth: float
     before: float
+    fall: float = np.inf  # of the excess, over the noise's cost
+    foreign: bool = False  # the refit's tyre had to be of another shape than its formula's
     like: float = 0.0  # largest |cosine| with the effects beside it
     behind: float = 0.0
+    leads: float = 1.0  # share of resamples in which it comes first of its round
 
     @property
     def size(self) -> int:
@@ -86,11 +91,13 @@ class CandidateScore:
 
         A small one beside a large one has to explain most of what that one leaves, and not look like it. Where the
         excess is no larger than the noise is known, shares of it say nothing, and one effect has to gain the more.
-        Where the fit is at the noise, what held-out windows cost beyond it is what their folds know too badly.
+        Where the fit is at the noise, what held-out windows cost beyond it is what their folds know too badly. Of a
+        tyre of another formula something stays that an effect may take for its own.
         """
         small = self.explained > ALL and self.worth > SMALL and self.before > REAL and self.like < LIKE
         sure = self.before < REAL and self.gain > SURE * self.error and self.found.effects == {self.name}
         left = self.before > 0.0 and self.explained >= WORTH and (self.worth >= WORTH or small)
+        left = left and (self.fall > REMAINDER or not self.foreign)
         return sure or (self.gain > errors * self.error and left)
 
 
@@ -163,8 +170,21 @@ class Judge:
         share, worth = (had - left) / max(had, least), (had - left) / max(first, least)
         fit = {stage: investigation.cost(standing.found, stage) for stage in stages}
         most = max(part / noise[stage] for stage, part in excesses(investigation, fit, noise).items())
-        like = self.nominal.likeness(name, found.effects - {name})
-        return CandidateScore(name, found, cost, gain, error, self.chance(before, cost), share, worth, most, like)
+        fall = (had - left) / sum(noise[stage] for stage in stages)
+        return CandidateScore(
+            name,
+            found,
+            cost,
+            gain,
+            error,
+            self.chance(before, cost),
+            share,
+            worth,
+            most,
+            fall,
+            investigation.shaped,
+            self.nominal.likeness(name, found.effects - {name}),
+        )
 
     def ranked(self, scored: Sequence[CandidateScore], before: Mapping[str, Array]) -> list[CandidateScore]:
         """Return candidates, best first: by their gains, but of those alike the one that explains most first.
@@ -178,7 +198,35 @@ class Judge:
             one = [row for row in rows if row is first or (self.one(first, row) and row.needed >= first.needed)]
             first = min(one, key=lambda row: row.name)
             rows = [first, *(row for row in rows if row is not first)]
-        return [replace(row, behind=self.behind(rows[0], row, before)) for row in rows]
+        rows = [replace(row, behind=self.behind(rows[0], row, before)) for row in rows]
+        return [replace(row, leads=share) for row, share in zip(rows, self._leads(rows, before), strict=True)]
+
+    def _leads(self, rows: Sequence[CandidateScore], before: Mapping[str, Array]) -> list[float]:
+        """Return the share of resamples of the blocks in which each candidate gains and comes first, as in `ranked`."""
+        if not rows:
+            return []
+        index = counts(len(self._blocks(before, before)), RESAMPLES, np.random.default_rng(self.investigation.seed))
+        gains, falls = (
+            index @ np.stack([self._blocks(before, {**before, **row.cost}, loss) for row in rows], axis=1)
+            for loss in (self.loss, self._clipped)
+        )
+        best, errors = gains.max(axis=1), np.array([self._error(rows[0], row, before) for row in rows])
+        apart = np.tile(errors, (RESAMPLES, 1))
+        apart[:, 0] = errors[gains.argmax(axis=1)]
+        shares = np.array([row.explained for row in rows]) * falls / np.maximum(falls.mean(axis=0), 1e-9)
+        alike = best[:, None] - gains <= SAME * apart
+        worth = np.where(alike, shares - PARAMETER * np.array([row.size for row in rows]), -np.inf)
+        first = np.where(best > 0.0, worth.argmax(axis=1), -1)
+        came = [float((first == i).mean()) for i in range(len(rows))]
+        return [
+            sum(came[j] for j, other in enumerate(rows) if j == i or self.one(row, other)) for i, row in enumerate(rows)
+        ]
+
+    def _clipped(self, stage: str, cost: Array) -> Array:
+        return np.minimum(cost, wild(self.investigation, stage))
+
+    def _error(self, best: CandidateScore, other: CandidateScore, before: Mapping[str, Array]) -> float:
+        return self.gain({**before, **other.cost}, {**before, **best.cost})[1]
 
     def one(self, row: CandidateScore, other: CandidateScore) -> bool:
         """Return whether two candidates are one in this log, and their fits ended alike."""
@@ -203,12 +251,12 @@ class Judge:
         generator = np.random.default_rng(self.investigation.seed)
         return float((resampled(sums, RESAMPLES, generator) <= 0.0).mean())
 
-    def _blocks(self, before: Mapping[str, Array], after: Mapping[str, Array]) -> Array:
-        """Return the fall of the loss by block, (B,), winsorised: no block decides alone."""
-        parts = []
+    def _blocks(self, before: Mapping[str, Array], after: Mapping[str, Array], loss: Loss | None = None) -> Array:
+        """Return the fall of a loss by block, (B,), winsorised: no block decides alone."""
+        parts, loss = [], loss or self.loss
         for stage in after:
             if stage in before:
-                fall = self.loss(stage, before[stage]) - self.loss(stage, after[stage])
+                fall = loss(stage, before[stage]) - loss(stage, after[stage])
                 parts.append(_winsorised(np.bincount(blocks(self.investigation.evidence[stage]), fall).astype(float)))
         return np.concatenate(parts)
 

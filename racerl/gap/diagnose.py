@@ -17,6 +17,7 @@ from racerl.data.log import POSE, Log
 from racerl.documents import conf_folder, write_json, write_text
 from racerl.estimation.unknowns import choose_unknowns
 from racerl.gap import residual
+from racerl.gap.any_tyre import any_tyre, shape_of
 from racerl.gap.catalogue import of_the_world, starts
 from racerl.gap.checkpoint import Checkpoint
 from racerl.gap.decision import Decision
@@ -139,7 +140,7 @@ def refit(
         limits["l_f"] = weighed - FAR * deviation, weighed + FAR * deviation
     folder = conf_folder() / "vehicle" / "effect"
     candidates = {name: starts(name, folder) for name in catalogue.names() if name not in without}
-    return investigate(
+    plain = investigate(
         evidence,
         vehicle,
         unknowns,
@@ -150,6 +151,7 @@ def refit(
         seed=settings["seed"],
         checkpoint=checkpoint,
     )
+    return any_tyre(plain)
 
 
 def _held(vehicle: Vehicle, hold: Sequence[str]) -> list[tuple[str, float]]:
@@ -246,6 +248,7 @@ def _named(
                     if key.startswith(f"effects.{name}.")
                 },
                 "explained": float(np.clip(rows[0].worth, 0.0, 1.0)),
+                "stability": rows[0].leads,
             }
             for name, rows in decision.kept.items()
         ],
@@ -340,7 +343,7 @@ def _write_vehicle(
             parameters[name] = {"ci95": row["ci95"], "identified": True, "unit": units[name].unit}
     added = {
         name: {key.rpartition(".")[2]: found.theta[key] for key in found.theta if key.startswith(f"effects.{name}.")}
-        for name in found.effects
+        for name in (*found.effects, *shape_of(found))
     }
     given = settings["vehicle"]
     vehicle = {**given, "effects": {**(given.get("effects") or {}), **added}}

@@ -19,6 +19,7 @@ from racerl.vehicle.effects import Effect
 from racerl.vehicle.vehicle import Vehicle
 
 Array = NDArray[np.float64]
+Folds = Mapping[str, NDArray[np.bool_]]  # the windows of every stage that a fold holds out
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,15 +28,17 @@ class Investigation(FitData):
 
     `noise_errors` (T + 1, C, W) and their cost, `floor`, per stage, are what noise alone would leave of the nominal
     fit, `chance` the share by which that differs from one drive to another; `folds` the windows that each fold holds
-    out; `seed` that of noise and resamples, on which no fit depends.
+    out; `seed` that of noise and resamples, on which no fit depends; `shaped` whether the vehicle's tyre is of another
+    shape than its formula's.
     """
 
     nominal: Nominal
     noise_errors: Mapping[str, Array]
     floor: Mapping[str, float]
     chance: Mapping[str, float]
-    folds: Sequence[Mapping[str, NDArray[np.bool_]]]
+    folds: Sequence[Folds]
     seed: int
+    shaped: bool = False
 
     @property
     def base(self) -> FittedModel:
@@ -87,15 +90,19 @@ def investigate(
         checkpoint or Checkpoint(),
     )
     data, nominal = fit_nominal(timed(data), drawn(vehicle, unknowns))
-    noise_errors = expected(data, nominal.model, seed)
+    return investigation_of(data, nominal, deal(data.evidence, folds), seed)
+
+
+def investigation_of(data: FitData, nominal: Nominal, folds: Sequence[Folds], seed: int) -> Investigation:
+    """Return an investigation by a nominal fit, with what noise alone would leave of it."""
     draws = noise_draws(data, nominal.model, seed)
-    given = {field.name: getattr(data, field.name) for field in fields(data)}
+    given = {field.name: getattr(data, field.name) for field in fields(FitData)}
     return Investigation(
         **given,
         nominal=nominal,
-        noise_errors=noise_errors,
+        noise_errors=expected(data, nominal.model, seed),
         floor={name: float(part.mean()) for name, part in draws.items()},
         chance={name: float(part.std() / part.mean()) for name, part in draws.items()},
-        folds=deal(data.evidence, folds),
+        folds=folds,
         seed=seed,
     )

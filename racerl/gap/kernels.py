@@ -46,13 +46,13 @@ class StageKernels:
             if not only_shifts(effect) and set(_active(evidence, vehicle, {name: effect})) & set(STATE) - set(alone)
         }
         self._make = lambda effects: StageKernel(evidence, vehicle, free, effects)
-        self._catalogue = catalogue
+        self._catalogue, self._always = catalogue, set(vehicle.effects)
         self._made: dict[frozenset[str], StageKernel] = {}
         self._locks: dict[frozenset[str], Lock] = {}
 
     def choose(self, vehicle: Vehicle, *, whole: bool = False) -> StageKernel:
         """Return the least kernel that has all the vehicle's effects in it; `whole`: the one that has all there are."""
-        present = {name for name in vehicle.effects if not only_shifts(vehicle.effects[name])}
+        present = {n for n, effect in vehicle.effects.items() if n not in self._always and not only_shifts(effect)}
         names, everything = frozenset(present), frozenset(self._catalogue)
         if whole or (len(present) > 1 and self._coupling & present):
             names = everything

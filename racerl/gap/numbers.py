@@ -18,6 +18,7 @@ from racerl.gap.candidates import unfitted
 from racerl.gap.comparison import ALL, CLEAR, REAL, WORTH, Judge, total, wild
 from racerl.gap.configurable import NUMBERS
 from racerl.gap.cross_validation import held_out
+from racerl.gap.fit_data import sampled
 from racerl.gap.fitted_model import COG, LONGEST, FittedModel, fit_model, settled_fit, stages_with, unknowns_with
 from racerl.gap.investigation import Investigation
 from racerl.gap.progress import OnProgress, silent
@@ -32,6 +33,7 @@ REACH = 2.5  # times what was configured, or its inverse: what runs further is s
 PEAKS = ("front.p_Dy1", "rear.p_Dy1")
 BACK = 0.5  # share of its change that a refit may take back of a number that is told
 MOST = 4  # numbers; a car that differs in more is another car
+STEPS, FULLY = 4, 5  # of a trial on a share of the windows; numbers that are fitted to all of them then
 
 
 @dataclass(frozen=True)
@@ -112,10 +114,18 @@ def _best(gap: "_Gap", few: Numbers) -> Numbers | None:
         more, stages = gap.fitted((*few.gained, name), few), gap.stages_of(name)
         return replace(more, gained={**few.gained, name: Gained(gap.gain(few, more, stages), tuple(stages))})
 
-    names = [name for name in gap.possible() if name not in few.gained]
+    names = _promising(gap, few)
     trials = zip(names, gap.investigation.workers.each(tried, names), strict=True)
     told = [more for name, more in trials if gap.tells(few, more, gap.stages_of(name)) and gap.in_reach(more)]
     return min(told, key=lambda more: gap.share(more.cost), default=None)
+
+
+def _promising(gap: "_Gap", few: Numbers) -> list[str]:
+    """Return the few numbers that a few steps on a share of the windows put first, of those not yet freed."""
+    names = [name for name in gap.possible() if name not in few.gained]
+    falls = gap.investigation.workers.each(lambda name: gap.fall_in_a_few_steps([*few.gained, name], few), names)
+    order = sorted(zip(falls, names, strict=True), key=lambda each: -each[0])
+    return [name for _, name in order[:FULLY]]
 
 
 def _pruned(gap: "_Gap", few: Numbers) -> Numbers:
@@ -233,25 +243,53 @@ class _Gap:
 
     def fitted(self, names: Sequence[str], start: Numbers) -> Numbers:
         """Return the vehicle with its effects and some numbers fitted, from where others ended."""
-        own = unknowns_with(self.investigation, self.named.effects, self.named.vehicle)
-        free = [*(unknown for unknown in own if unknown.effect), *self._unknowns(names)]
-        stages = stages_with(self.investigation, self.named.vehicle, free)
+        stages = self._stages(names)
         if not stages:
             return start
+        found = self._fit(names, start, stages, LONGEST, None)
+        gained = {name: start.gained[name] for name in names if name in start.gained}
+        return Numbers(gained, found, {**self.configured.cost, **found.cost})
+
+    def fall_in_a_few_steps(self, names: Sequence[str], start: Numbers) -> float:
+        """Return by how much the loss of a share of the windows falls in a few steps of such a fit."""
+        stages = self._stages(names)
+        some = sampled({stage: self.investigation.evidence[stage] for stage in stages})
+        found = self._fit(names, start, stages, STEPS, some)
+        return sum(self.fall_of(stage, start.cost[stage][some[stage]], found.cost[stage]) for stage in stages)
+
+    def fall_of(self, stage: str, before: Array, after: Array) -> float:
+        """Return the fall of the loss of some windows of a stage."""
+        return float((self.judge.loss(stage, before) - self.judge.loss(stage, after)).sum())
+
+    def _stages(self, names: Sequence[str]) -> list[str]:
+        return stages_with(self.investigation, self.named.vehicle, self._free(names))
+
+    def _free(self, names: Sequence[str]) -> list[Unknown]:
+        """Return the effects' parameters and the numbers."""
+        own = unknowns_with(self.investigation, self.named.effects, self.named.vehicle)
+        return [*(unknown for unknown in own if unknown.effect), *self._unknowns(names)]
+
+    def _fit(
+        self,
+        names: Sequence[str],
+        start: Numbers,
+        stages: Sequence[str],
+        iterations: int,
+        some: Mapping[str, NDArray[np.int64]] | None,
+    ) -> FittedModel:
         configured = values(self.investigation.vehicle)
         back = {name: float(configured[name]) for name in NUMBERS if name in configured and name not in names}
-        found = fit_model(
+        return fit_model(
             self.investigation,
             self.named.effects,
             replace_values(self._begun(start.found), back),
             start.found,
-            LONGEST,
+            iterations,
             stages=stages,
-            free=free,
+            index=some,
+            free=self._free(names),
             strength=dict.fromkeys(self.investigation.evidence, 1.0),
         )
-        gained = {name: start.gained[name] for name in names if name in start.gained}
-        return Numbers(gained, found, {**self.configured.cost, **found.cost})
 
     def _begun(self, found: FittedModel) -> Vehicle:
         """Return the vehicle of a fit, with the effects found if it lacks them."""

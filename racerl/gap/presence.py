@@ -62,6 +62,9 @@ class Present(Effect):
         front, rear = self._mix_all(F_z, self.effect.loads(F_z, motion, ops))
         return front, rear
 
+    def tyre(self, forces: "Forces", slips: "Slips", motion: "Motion", ops: Ops) -> "Forces":  # noqa: D102
+        return type(forces)(*self._mix_all(forces, self.effect.tyre(forces, slips, motion, ops)))
+
     def wrench(self, wrench: "Wrench", forces: "Forces", motion: "Motion", ops: Ops) -> "Wrench":  # noqa: D102
         return type(wrench)(*self._mix_all(wrench, self.effect.wrench(wrench, forces, motion, ops)))
 

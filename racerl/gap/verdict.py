@@ -15,18 +15,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from racerl.gap.comparison import BEHIND, REAL, equals, excesses, total
+from racerl.gap.comparison import BEHIND, REAL, CandidateScore, equals, excesses, total
 from racerl.gap.decision import Decision
 from racerl.gap.fitted_model import touched
 from racerl.gap.investigation import Investigation
 from racerl.gap.score import Score
 
+# excess over the noise's cost that clean cars of other formulas leave of the refit: up to 12 % of two on Dugoff tyres
+FOREIGN = 0.15
 CHANCE = 5.0  # deviations of the noise's own cost, below which an excess may be chance
 LEFT, LEFT_EXACT = 0.25, 0.1  # shares of the first excess that may stay behind a right name: of many forms, of one
 CREDIBLE = 0.6  # share of the excess that a name must explain
 COARSE = 30.0  # excess over the noise's cost, beyond which that of filtered sensors is no yardstick
 TWINS = 0.95  # |cosine| above which a linear test cannot tell two effects apart
 MOST = 0.5  # share of the catalogue that a log must be able to show
+STABLE, RARE = 0.8, 0.1  # shares of resamples in which a name comes out, and a rival in its place at least
 
 
 @dataclass(frozen=True)
@@ -45,7 +48,8 @@ def judge(investigation: Investigation, decision: Decision) -> Verdict:
     blind = decision.score.hidden()
     effects = tuple(decision.chosen)
     equal = [row.name for rows in decision.kept.values() for row in equals(rows)]
-    rivals = tuple(dict.fromkeys(name for name in (*equal, *_one_with(decision)) if name not in effects))
+    shaky = [row.name for rows in decision.kept.values() for row in _unsettled(rows)]
+    rivals = tuple(dict.fromkeys(name for name in (*equal, *_one_with(decision), *shaky) if name not in effects))
     before, after = fitted(investigation, decision)
     stage, left, first = open_stage(investigation, decision, before, after)
     if not effects:
@@ -63,7 +67,12 @@ def judge(investigation: Investigation, decision: Decision) -> Verdict:
     moved = touched(investigation, decision.found.vehicle, effects)  # elsewhere an excess is chance
     had, rest = (total(parts[stage] for stage in moved) for parts in (before, after))
     share = 1.0 - rest / max(had, 1e-9)
-    if share < CREDIBLE and not any(_coarse(investigation, decision, stage, after[stage]) for stage in moved):
+    foreign = investigation.shaped and rest < FOREIGN * sum(decision.noise[stage] for stage in moved)
+    if (
+        share < CREDIBLE
+        and not foreign
+        and not any(_coarse(investigation, decision, stage, after[stage]) for stage in moved)
+    ):
         reason = f"{listed(effects)} {explain} only {share:.0%} of a small excess"
         return Verdict("under_excited", (), (), blind, reason)
     explained = f"{listed(effects)} {explain} {share:.0%} of the excess"
@@ -90,6 +99,11 @@ def _one_with(decision: Decision) -> list[str]:
     ]
 
 
+def _unsettled(rows: Sequence[CandidateScore]) -> list[CandidateScore]:
+    """Return the candidates that come out in place of an effect that does so in too few resamples."""
+    return [row for row in rows[1:] if row.leads >= RARE] if rows[0].leads < STABLE else []
+
+
 def open_stage(
     investigation: Investigation, decision: Decision, before: Mapping[str, float], after: Mapping[str, float]
 ) -> tuple[str, float, float]:
@@ -97,10 +111,11 @@ def open_stage(
     worst = ("", 0.0, 0.0)
     for name, noise in decision.noise.items():
         left, first = after[name] / noise, before[name] / noise
-        real = max(REAL, CHANCE * investigation.chance[name])
+        real = max(FOREIGN if investigation.shaped else REAL, CHANCE * investigation.chance[name])
         if decision.chosen and _coarse(investigation, decision, name, after[name]):
             continue
-        if left > real and left > _may_stay(investigation, decision, name) * first and left > worst[1]:
+        may_stay = _may_stay(investigation, decision, name) * first if decision.chosen else 0.0
+        if left > real + may_stay and left > worst[1]:
             worst = (name, left, first)
     return worst
 

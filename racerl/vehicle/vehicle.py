@@ -202,7 +202,10 @@ class Vehicle:
         F_zf, F_zr = self.loads(motion, ops)
         F_xf, F_yf = self.front.forces(slips.kappa_f, slips.alpha_f, F_zf, friction[0], ops)
         F_xr, F_yr = self.rear.forces(slips.kappa_r, slips.alpha_r, F_zr, friction[1], ops)
-        return Forces(F_xf, F_yf, F_xr, F_yr, F_zf, F_zr)
+        forces = Forces(F_xf, F_yf, F_xr, F_yr, F_zf, F_zr)
+        for effect in self.effects.values():
+            forces = effect.tyre(forces, slips, motion, ops)
+        return forces
 
     def tyre_wrench(self, forces: Forces, motion: Motion, ops: Ops) -> Wrench:
         """Return what the tyres do to the body."""

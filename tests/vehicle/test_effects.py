@@ -12,9 +12,10 @@ from racerl.errors import ConfigError, VehicleError
 from racerl.vehicle import catalogue
 from racerl.vehicle.effects.learned_network import LearnedNetwork
 from racerl.vehicle.effects.learned_residual import LearnedResidual
+from racerl.vehicle.effects.tyre_shape import TyreShape
 from racerl.vehicle.load import load_vehicle
 from racerl.vehicle.ops import TORCH
-from racerl.vehicle.vehicle import COMMAND, STATE, Vehicle
+from racerl.vehicle.vehicle import COMMAND, STATE, Slips, Vehicle
 from tests.vehicle.conftest import make_car, random_states, travel
 
 CONTRACT = (
@@ -394,3 +395,28 @@ def test_what_is_learned_is_bounded_fades_where_nothing_was_seen_and_has_no_plac
     away = state[3].abs() > 0.5
     faded = dataclasses.replace(plain, effects={name_of: beyond}).derivative(state, command, TORCH) - base
     assert float(faded[:, away].abs().max()) < 1e-3
+
+
+SHAPE = TyreShape(kappa=0.05, alpha=0.1, ahead_turn=0.2, ahead_drive=0.1, aside_drive=-0.3, aside_turn=0.4)
+
+
+def test_a_tyres_shape_multiplies_forces_by_its_factors():
+    plain, car = (make_car("vehicle=published"), make_car("vehicle=published"))
+    car = dataclasses.replace(car, effects={"tyre_shape": SHAPE})
+    kappa, alpha = torch.tensor([0.05, 0.0, 0.0]), torch.tensor([0.0, 0.1, -10.0])
+    motion = plain.motion(torch.zeros(8, 3))
+    before, after = (each.tyre_forces(Slips(kappa, alpha, kappa, alpha), motion, TORCH) for each in (plain, car))
+    p, q = 1 / math.sqrt(2), torch.tensor([0.0, 0.5, 1.0])
+    assert after.F_xf[0] / before.F_xf[0] == pytest.approx(1 + 0.5 * math.tanh(0.1 * p / 0.5))
+    ratio = after.F_yr[1:] / before.F_yr[1:]
+    assert torch.allclose(ratio, 1 + 0.5 * torch.tanh(0.4 * q[1:] / 0.5), rtol=1e-3)
+    assert (after.F_zf, after.F_zr) == (before.F_zf, before.F_zr)
+
+
+def test_a_tyres_shape_is_no_effect_of_the_catalogue_and_none_of_any_side():
+    assert "tyre_shape" not in catalogue.names()
+    car = dataclasses.replace(make_car("vehicle=published"), effects={"tyre_shape": SHAPE})
+    state, command = random_states(car, 200)
+    sides = torch.tensor([1.0, -1.0, -1.0, 1.0, -1.0, -1.0, -1.0, 1.0])[:, None]
+    mirrored = car.derivative(sides * state, torch.tensor([[-1.0], [1.0]]) * command, TORCH)
+    assert torch.allclose(mirrored, sides * car.derivative(state, command, TORCH), atol=1e-9)

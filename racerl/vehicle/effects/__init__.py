@@ -74,6 +74,10 @@ class Effect:
         """Change the vertical loads in N."""
         return F_z
 
+    def tyre(self, forces: "Forces", slips: "Slips", motion: "Motion", ops: Ops) -> "Forces":
+        """Change what the tyres do at given slips."""
+        return forces
+
     def wrench(self, wrench: "Wrench", forces: "Forces", motion: "Motion", ops: Ops) -> "Wrench":
         """Change force and moment on the body."""
         return wrench

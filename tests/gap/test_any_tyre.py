@@ -1,0 +1,48 @@
+"""A tyre of another formula is a shape of the refit's tyre, and no effect."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from racerl.gap.any_tyre import LARGE, SHAPE, any_tyre, shape_of
+from racerl.gap.diagnose import gap
+from racerl.vehicle.effects.tyre_shape import TyreShape
+from racerl.vehicle.load import load_vehicle
+from racerl.vehicle.parameter import values
+from tests.gap.conftest import drive, investigate, settings_for
+
+WORDS = [f"+vehicle.effects.{SHAPE}.{name}={value}" for name, value in (("kappa", 0.1), ("alpha", 0.1))]
+
+
+@pytest.fixture(scope="module")
+def foreign():
+    """A drive on tyres whose side force falls by 18 % where they are driven, and rises where they brake."""
+    return drive(*WORDS, f"+vehicle.effects.{SHAPE}.aside_drive=-0.4", f"+vehicle.effects.{SHAPE}.aside_turn_drive=0.4")
+
+
+def test_a_right_tyre_keeps_its_formula(clean):
+    investigation = investigate(clean, "yaw_damping")
+    assert any_tyre(investigation) is investigation and not investigation.shaped
+
+
+def test_a_foreign_tyre_is_a_shape_and_no_effect(foreign, tmp_path):
+    plain = investigate(foreign, "yaw_damping", "roll_dynamics")
+    shaped = any_tyre(plain)
+    assert shaped.shaped and shape_of(shaped.base) == [SHAPE] and shape_of(plain.base) == []
+    cost = {name: each.base.cost["chassis"].sum() for name, each in (("plain", plain), ("shaped", shaped))}
+    assert cost["plain"] > 1.1 * plain.floor["chassis"] and cost["shaped"] < 1.05 * shaped.floor["chassis"]
+    # the vehicle as configured is the same, shape or not; slips count as large in proportion to its own
+    assert replace(shaped.vehicle, effects={}) == plain.vehicle
+    table = values(shaped.vehicle)
+    slide = np.mean([table[f"{axle}.p_Dy1"] / table[f"{axle}.p_Ky1"] for axle in ("front", "rear")])
+    assert table[f"effects.{SHAPE}.alpha"] == pytest.approx(LARGE * table["friction"] * slide)
+
+
+@pytest.mark.slow
+def test_the_shape_is_written_with_the_vehicle(foreign, tmp_path):
+    facts = gap(settings_for(foreign, tmp_path, "yaw_damping"), tmp_path / "out")
+    assert facts["effects"] == [] and facts["gap"]["after"] < 1.05
+    effects = load_vehicle({"file": str(tmp_path / "out" / "model.yaml")}).effects
+    assert list(effects) == [SHAPE] and isinstance(effects[SHAPE], TyreShape)
+    assert effects[SHAPE].aside_drive != 0.0
