@@ -31,6 +31,7 @@ GRIP = "friction"
 SPREAD = 0.5  # deviation of a number's prior, as a share of it: no more than a restraint
 REACH = 2.5  # times what was configured, or its inverse: what runs further is something else in disguise
 PEAKS = ("front.p_Dy1", "rear.p_Dy1")
+ALL_PEAKS = (*PEAKS, "front.p_Dx1", "rear.p_Dx1")
 BACK = 0.5  # share of its change that a refit may take back of a number that is told
 MOST = 4  # numbers; a car that differs in more is another car
 STEPS, FULLY = 4, 5  # of a trial on a share of the windows; numbers that are fitted to all of them then
@@ -96,7 +97,7 @@ def _confirmed(gap: "_Gap", few: Numbers) -> tuple[Numbers, Numbers | None]:
     """
     named = gap.held_out(gap.named)
     while True:
-        around = gap.held_out(_refitted(gap.investigation, few)) if few.gained else named
+        around = gap.held_out(_refitted(gap, few)) if few.gained else named
         if any(gap.gains(around, named, [stage]) for stage in gap.open):
             around = named
         if not any(gap.gains(few, around, [stage]) for stage in gap.open):
@@ -137,14 +138,20 @@ def _pruned(gap: "_Gap", few: Numbers) -> Numbers:
     return few
 
 
-def _refitted(investigation: Investigation, few: Numbers) -> FittedModel:
-    """Return a fit of all parameters, all expected where a few numbers changed have them."""
+def _refitted(gap: "_Gap", few: Numbers) -> FittedModel:
+    """Return a fit of all parameters, all expected where a few numbers changed have them.
+
+    It starts from the refit that named, with the floor's grip as told: the same forces, for the tyres' take it back.
+    """
     around = [
         replace(unknown, start=min(max(few.found.theta[unknown.name], unknown.low), unknown.high))
-        for unknown in investigation.unknowns
+        for unknown in gap.investigation.unknowns
     ]
-    data = replace(investigation, unknowns=around)
-    return settled_fit(data, few.found.effects, few.found.vehicle, few.found, stages=list(investigation.evidence))
+    data, table = replace(gap.investigation, unknowns=around), gap.named.theta
+    grip = few.found.theta[GRIP]
+    same = {GRIP: grip, **{peak: table[peak] * table[GRIP] / grip for peak in ALL_PEAKS}}
+    vehicle = replace_values(gap.named.vehicle, same)
+    return settled_fit(data, gap.named.effects, vehicle, gap.named, stages=list(gap.investigation.evidence))
 
 
 def _size(name: str, theta: Mapping[str, float]) -> float:
