@@ -81,7 +81,7 @@ def gap(settings: Mapping[str, Any], out: Path, on_progress: OnProgress = silent
         told["remarks"] += investigation.nominal.doubts()
         whole = chain(logs, settings)
         missing = [name for name in COMMANDS if name not in channels_of(logs)]
-        facts, found = _steps(investigation, whole, settings, folder.path, told, missing, on_progress)
+        facts, found, investigation = _steps(investigation, whole, settings, folder.path, told, missing, on_progress)
         _write_vehicle(folder.path / MODEL, settings, facts, investigation, found)
         _write_vehicle(folder.path / MODEL_BEFORE, settings, facts, investigation, investigation.base)
     write_json(folder.path / VERDICT, facts)
@@ -140,7 +140,7 @@ def refit(
         limits["l_f"] = weighed - FAR * deviation, weighed + FAR * deviation
     folder = conf_folder() / "vehicle" / "effect"
     candidates = {name: starts(name, folder) for name in catalogue.names() if name not in without}
-    plain = investigate(
+    return investigate(
         evidence,
         vehicle,
         unknowns,
@@ -151,7 +151,6 @@ def refit(
         seed=settings["seed"],
         checkpoint=checkpoint,
     )
-    return any_tyre(plain)
 
 
 def _held(vehicle: Vehicle, hold: Sequence[str]) -> list[tuple[str, float]]:
@@ -164,23 +163,33 @@ def _list(value: Any) -> list[str]:
     return [value] if isinstance(value, str) else list(value)
 
 
+def named(plain: Investigation, on_progress: OnProgress) -> tuple[Investigation, Decision, Verdict]:
+    """Return what held-out windows ask for; of a vehicle on any tyre where they ask for what no effect explains."""
+    decision = name_effects(plain, within(lambda what, share: on_progress(f"name: {what}", share), *NAMING))
+    verdict = judge(plain, decision)
+    if verdict.kind == "unknown" and (shaped := any_tyre(plain)).shaped:
+        again = name_effects(shaped, lambda what, share: on_progress(f"name on any tyre: {what}", NAMING[1]))
+        if (other := judge(shaped, again)).kind != "unknown":
+            return shaped, again, other
+    return plain, decision, verdict
+
+
 def _steps(
-    investigation: Investigation,
+    plain: Investigation,
     whole: Evidence | None,
     settings: Mapping[str, Any],
     folder: Path,
     told: Mapping[str, Any],
     missing: Sequence[str],
     on_progress: OnProgress,
-) -> tuple[dict[str, Any], FittedModel]:
-    """Carry out the four steps; return the verdict's document and the refitted vehicle with what was named."""
+) -> tuple[dict[str, Any], FittedModel, Investigation]:
+    """Carry out the four steps; return the verdict's document, the vehicle with what was named, and by which refit."""
     on_progress("locate", NAMING[0] / 2.0)
-    located = locate(investigation, whole)
+    located = locate(plain, whole)
     write_json(folder / LOCATE, located)
-    decision = name_effects(investigation, within(lambda what, share: on_progress(f"name: {what}", share), *NAMING))
-    verdict = judge(investigation, decision)
-    named = decision.found if verdict.kind in CLAIMS else investigation.base
-    numbers = wrong_numbers(investigation, named, within(on_progress, *COUNTING))
+    investigation, decision, verdict = named(plain, on_progress)
+    chosen = decision.found if verdict.kind in CLAIMS else investigation.base
+    numbers = wrong_numbers(investigation, chosen, within(on_progress, *COUNTING))
     found = numbers.vehicle
     shown = found if verdict.kind in CLAIMS else decision.found
     on_progress("add", COUNTING[1])
@@ -209,7 +218,7 @@ def _steps(
     }
     if verdict.kind == "unknown":
         facts["residual"] = _residual(investigation, settings, folder, told, within(on_progress, LEARNING, 1.0))
-    return facts, found
+    return facts, found, investigation
 
 
 def _residual(

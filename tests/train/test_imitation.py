@@ -14,7 +14,6 @@ from racerl.env.termination import Crash
 from racerl.errors import ConfigError, OptimumError
 from racerl.evaluate.drive import drive
 from racerl.evaluate.laps import score
-from racerl.optimum import ladder
 from racerl.optimum.collocation import Collocation
 from racerl.optimum.corridor import Corridor
 from racerl.optimum.ladder import FULL, find_ladder
@@ -33,11 +32,7 @@ def settings():
 
 @pytest.fixture(scope="module")
 def teacher(settings):
-    """The default car's teacher on half of the rungs, the fastest among them."""
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(ladder, "PACES", ladder.PACES[::2])
-        patched.setattr(ladder, "FULL", FULL[::2])
-        return find_teacher(lambda: build_race(settings, cars=128, seeds=[0]))
+    return find_teacher(lambda: build_race(settings, cars=128, seeds=[0]))
 
 
 def test_laps_of_rising_pace(teacher):
