@@ -1,6 +1,7 @@
 """The verdict: what held-out windows allow to be said of a log.
 
-none            nothing is left beyond the sensors' noise, and the log would have shown the usual effects
+none            nothing is left beyond the sensors' noise, or beyond what a tyre of another formula leaves, and the log
+                would have shown the usual effects
 under_excited   nothing is left, but the log would not have shown most of them; or a small excess is explained too
                 little to be sure of a name
 named           one effect is needed, and no other explains the data as well
@@ -59,7 +60,10 @@ def judge(investigation: Investigation, decision: Decision) -> Verdict:
         if len(blind) > MOST * len(decision.score.names):
             reason = f"{len(blind)} of {len(decision.score.names)} effects would not show at their usual size"
             return Verdict("under_excited", (), (), blind, reason)
-        return Verdict("none", (), (), blind, "the refitted vehicle reaches the noise")
+        reason = "the refitted vehicle reaches the noise"
+        if investigation.shaped:
+            reason = f"on a tyre of another shape than its formula's the refitted vehicle is within {FOREIGN:.0%} of it"
+        return Verdict("none", (), (), blind, reason)
     explain = "explains" if len(effects) == 1 else "explain"
     if stage:
         reason = f"with {listed(effects)}, {left / first:.0%} of the excess in the {stage} stage stays"

@@ -50,7 +50,7 @@ def headline(facts: dict[str, Any]) -> str:
     gap = facts["gap"]
     share = f": it explains {gap['explained']:.0%} of the gap" if gap else ""
     sentences = {
-        "none": "Nothing is missing: the refitted model reaches the sensors' noise",
+        "none": f"Nothing is missing: {facts['reason']}",
         "under_excited": "This log cannot tell what is missing",
         "named": f"The model misses {names}{share}",
         "multiple": f"The model misses {names}{share.replace('it explains', 'together they explain')}",
