@@ -14,12 +14,13 @@ EFFECTS = [{"name": "yaw_damping"}, {"name": "steering_gain"}]
         ("multiple", 2, [], "The model misses yaw damping and steering gain: together they explain 98% of the gap"),
         ("ambiguous", 1, ["tyre_relaxation"], "The model misses yaw damping, or tyre relaxation"),
         ("unknown", 0, [], "Something real is missing that no known effect explains"),
-        ("none", 0, [], "Nothing is missing: the refitted model reaches the sensors' noise"),
+        ("none", 0, [], "Nothing is missing: the refitted vehicle reaches the noise"),
         ("under_excited", 0, [], "This log cannot tell what is missing"),
     ],
 )
 def test_every_verdict_of_a_gap_is_a_sentence(verdict, effects, rivals, title):
     facts = {"verdict": verdict, "effects": EFFECTS[:effects], "ambiguous_with": rivals, "gap": {"explained": 0.98}}
+    facts["reason"] = "the refitted vehicle reaches the noise"
     assert gap_page.headline(facts) == title
     assert gap_page.headline({**facts, "gap": None})  # nothing could be driven
 
