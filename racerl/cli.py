@@ -506,15 +506,9 @@ def _plan(settings: "Settings", out: Path) -> None:
 
 
 def _print_verdict(console: Any, facts: dict[str, Any]) -> None:
-    from racerl.report.gap_page import numbers_told
+    from racerl.gap.sentences import opening
 
-    lines = [*numbers_told(facts["configured"]), f"verdict: {facts['verdict']}: {facts['reason']}"]
-    for effect in facts["effects"]:
-        for name, p in effect["parameters"].items():
-            interval = f"{p['ci95'][0]:.4g} … {p['ci95'][1]:.4g}"
-            lines.append(f"  {effect['name']}.{name} = {p['value']:.4g} {p['unit']} ({interval})")
-    if facts["ambiguous_with"]:
-        lines.append(f"not to be told from: {', '.join(facts['ambiguous_with'])}")
+    lines = [*opening(facts), f"verdict: {facts['verdict']}: {facts['reason']}"]
     if residual := facts["residual"]:
         share = f"{residual['explained']:.0%} of the excess on held-out windows"
         lines.append(f"offered instead: a learned residual, {residual['vehicle']}, which takes {share}")

@@ -10,6 +10,7 @@ from racerl.estimation.blocks import resampled
 from racerl.gap.candidates import unfitted
 from racerl.gap.comparison import wild
 from racerl.gap.cross_validation import held_out_errors
+from racerl.gap.evidence import Evidence
 from racerl.gap.fitted_model import FittedModel
 from racerl.gap.folds import blocks
 from racerl.gap.investigation import Investigation
@@ -18,6 +19,8 @@ from racerl.gap.locate import HORIZONS, maps
 Array = NDArray[np.float64]
 RESAMPLES = 2000
 WORSE = 1.05  # times the error before, beyond which a channel has become worse
+STRETCH = 4  # windows side by side that are shown of the worst stretch
+STEP = 17  # samples between the points of a window's path
 
 
 def prove(investigation: Investigation, found: FittedModel) -> dict[str, Any]:
@@ -40,7 +43,72 @@ def prove(investigation: Investigation, found: FittedModel) -> dict[str, Any]:
         "by_horizon": _by_horizon(investigation, calm[1], calm[2], tame),
         "worse": [name for name, row in gap["by_channel"].items() if row["after"] > WORSE * row["before"]],
         "maps": {"before": maps(investigation, base), "after": maps(investigation, after)},
+        "stretch": _stretch(investigation, base, after, tame, powers[1]),
+        "path": _path(investigation, powers[1]["chassis"], powers[2]["chassis"]) if "chassis" in base else [],
     }
+
+
+def _stretch(
+    investigation: Investigation,
+    before: Mapping[str, Array],
+    after: Mapping[str, Array],
+    tame: Mapping[str, NDArray[np.bool_]],
+    power: Mapping[str, Array],
+) -> dict[str, Any]:
+    """Return the windows side by side that the refitted vehicle misses most, in the stage with the largest gap.
+
+    Every window has `t` (T + 1) in s, and `measured`, `before`, `after` (C, T + 1).
+    """
+    floor = {name: _power(investigation, investigation.noise_errors)[name][tame[name]].sum() for name in power}
+    stage = max(power, key=lambda name: power[name][tame[name]].sum() / floor[name])
+    evidence, own = investigation.evidence[stage], np.where(tame[stage], power[stage], 0.0)
+    first = _worst(evidence, own)
+    shown = [w for w in range(first, min(first + STRETCH, len(own))) if evidence.run[w] == evidence.run[first]]
+    rows = evidence.start[shown][:, None] + np.arange(evidence.length + 1)
+    time = evidence.columns["t"]
+    measured = np.stack([evidence.columns[name][rows] for name in evidence.observed], axis=1)  # (N, C, T + 1)
+    return {
+        "stage": stage,
+        "channels": list(evidence.observed),
+        "noise": [float(value) for value in investigation.noise[stage]],
+        "windows": [
+            {
+                "t": (time[rows[i]] - time[evidence.first[rows[i, 0]]]).tolist(),
+                "measured": measured[i].tolist(),
+                "before": (measured[i] + before[stage][:, :, w].T).tolist(),
+                "after": (measured[i] + after[stage][:, :, w].T).tolist(),
+            }
+            for i, w in enumerate(shown)
+        ],
+    }
+
+
+def _worst(evidence: Evidence, power: Array) -> int:
+    """Return the first of the windows side by side in a run that have the largest power together."""
+    sums = np.zeros(len(power))
+    for run in np.unique(evidence.run):
+        mine = np.flatnonzero(evidence.run == run)
+        size = min(STRETCH, len(mine))
+        sums[mine[: len(mine) - size + 1]] = np.convolve(power[mine], np.ones(size), mode="valid")
+    return int(sums.argmax())
+
+
+def _path(investigation: Investigation, before: Array, after: Array) -> list[dict[str, Any]]:
+    """Return where every window was driven, and its error over the noise's; nothing without poses."""
+    evidence = investigation.evidence["chassis"]
+    if not {"x", "y"} <= set(evidence.columns):
+        return []
+    rows = evidence.start[:, None] + np.append(np.arange(0, evidence.length, STEP), evidence.length)
+    unit = float(_power(investigation, investigation.noise_errors)["chassis"].mean())
+    return [
+        {
+            "x": evidence.columns["x"][rows[w]].round(3).tolist(),
+            "y": evidence.columns["y"][rows[w]].round(3).tolist(),
+            "before": float(np.sqrt(before[w] / unit)),
+            "after": float(np.sqrt(after[w] / unit)),
+        }
+        for w in range(len(rows))
+    ]
 
 
 def _tame(investigation: Investigation, stage: str, powers: Sequence[Array]) -> NDArray[np.bool_]:

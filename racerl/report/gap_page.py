@@ -9,11 +9,10 @@ from racerl.data.log import CHANNELS
 from racerl.documents import read_json, read_yaml
 from racerl.errors import DocumentError, RunError
 from racerl.gap.diagnose import LOCATE, PROOF, VERDICT
-from racerl.report.figures import gap_bars, gap_maps, gap_ranking
+from racerl.gap.sentences import PLAIN, headline, opening
+from racerl.report.figures import gap_channels, gap_maps, gap_path, gap_ranking, gap_stretch
 from racerl.report.page import figure, provenance, write_page
 from racerl.run import CONFIG, RunFolder
-
-PLAIN = {"steering": "steering", "drive": "drive", "chassis": "motion"}  # stages, as they are told
 
 
 def draw_gap(run: Path) -> Path:
@@ -31,7 +30,7 @@ def draw_gap(run: Path) -> Path:
             folder.path,
             "gap_page.html.j2",
             headline=headline(facts),
-            numbers=numbers_told(facts["configured"]),
+            opening=opening(facts),
             facts=facts,
             proof=proof,
             located=located,
@@ -44,46 +43,30 @@ def draw_gap(run: Path) -> Path:
         raise RunError(f"{run}: is damaged ({' '.join(str(error).split())}); run racerl gap again") from error
 
 
-def headline(facts: dict[str, Any]) -> str:
-    """Return the verdict as a sentence."""
-    names = " and ".join(effect["name"].replace("_", " ") for effect in facts["effects"])
-    gap = facts["gap"]
-    share = f": it explains {gap['explained']:.0%} of the gap" if gap else ""
-    sentences = {
-        "none": f"Nothing is missing: {facts['reason']}",
-        "under_excited": "This log cannot tell what is missing",
-        "named": f"The model misses {names}{share}",
-        "multiple": f"The model misses {names}{share.replace('it explains', 'together they explain')}",
-        "ambiguous": f"The model misses {names}, or {' or '.join(facts['ambiguous_with']).replace('_', ' ')}",
-        "unknown": "Something real is missing that no known effect explains",
-    }
-    return sentences[facts["verdict"]]
-
-
-def numbers_told(configured: dict[str, Any]) -> list[str]:
-    """Return a line for every number that was configured wrongly, and one for a refit of all that explains more."""
-    lines = [
-        f"{row['what']}: {abs(row['to'] / row['from'] - 1.0):.0%} {'less' if row['to'] < row['from'] else 'more'} than "
-        f"configured, {row['parameter']} {row['to']:.4g} ({row['ci95'][0]:.4g} … {row['ci95'][1]:.4g}) instead of "
-        f"{row['from']:.4g}; that is {row['explained']:.0%} of the gap as configured in the "
-        f"{' and the '.join(PLAIN[stage] for stage in row['stages'])}"
-        for row in configured["changes"]
-    ]
-    if lines and configured["rest"]:
-        lines.append(f"a refit of all parameters around that, which model.yaml is, takes {configured['rest']:.0%} more")
-    return lines
-
-
 def _drawn(facts: dict[str, Any], proof: dict[str, Any] | None) -> list[tuple[str, str, str, str | None]]:
     if proof is None:
         return []
     added = bool(facts["effects"] or facts["helped"])
+    units = {name: channel.unit for name, channel in CHANNELS.items()}
     return [
+        (
+            "stretch",
+            "Where the model misses most",
+            f"The worst stretch of the {PLAIN[proof['stretch']['stage']]}: rollouts that begin at the dotted lines, "
+            "each from the state estimated there, by fits that have not seen it.",
+            gap_stretch.draw(proof["stretch"], units, added),
+        ),
+        (
+            "path",
+            "Along the path",
+            "Every rollout where it was driven, by its error over what the sensors' noise alone leaves.",
+            gap_path.draw(proof["path"], added) if proof["path"] else None,
+        ),
         (
             "gap",
             "The gap by channel",
             "Root-mean-square error of held-out rollouts over what the sensors' noise alone leaves.",
-            gap_bars.draw(facts["gap"]["by_channel"], added),
+            gap_channels.draw(facts["gap"]["by_channel"], added),
         ),
         (
             "ranking",

@@ -10,7 +10,7 @@ from racerl.vehicle import effects
 from racerl.vehicle.effects import Effect
 from racerl.vehicle.parameter import Parameter
 
-ASPECTS = ("Formula", "Source", "In data", "Excited by", "Confused with")
+ASPECTS = ("In words", "Formula", "Source", "In data", "Excited by", "Confused with")
 
 
 @dataclass(frozen=True)

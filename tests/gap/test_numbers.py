@@ -11,7 +11,8 @@ from racerl.gap.configurable import NUMBERS
 from racerl.gap.diagnose import gap
 from racerl.gap.naming import name_effects
 from racerl.gap.numbers import as_configured, wrong_numbers
-from racerl.report.gap_page import draw_gap, numbers_told
+from racerl.gap.sentences import numbers_told
+from racerl.report.gap_page import draw_gap
 from racerl.vehicle.load import load_vehicle
 from racerl.vehicle.parameter import values
 from tests.gap.conftest import configured, drive, investigate, settings_for

@@ -2,27 +2,82 @@
 
 import pytest
 
-from racerl.report import gap_page, log_page
+from racerl.gap.sentences import headline, opening
+from racerl.report import log_page
 
-EFFECTS = [{"name": "yaw_damping"}, {"name": "steering_gain"}]
+
+def effect(name, **values):
+    parameters = {key: {"value": v, "unit": unit, "ci95": [v - 0.1, v + 0.1]} for key, (v, unit) in values.items()}
+    return {"name": name, "parameters": parameters}
+
+
+DAMPED, ASIDE = (
+    effect("yaw_damping", coefficient=(0.4, "N m s")),
+    effect("lever_arm", forward=(0.2, "m"), left=(0.1, "m")),
+)
+GRIP = {"parameter": "friction", "what": "grip of the floor", "from": 0.8, "to": 0.5, "ci95": [0.49, 0.51]}
+GRIP |= {"explained": 0.98, "stages": ["chassis"]}
+DAMPED_TOLD = "Your car resists turning: yaw damping 0.4 N m s (0.3 … 0.5)."
+FALLS = "With that the error falls from 2.20 to 1.00 times the sensors' noise."
 
 
 @pytest.mark.parametrize(
-    "verdict, effects, rivals, title",
+    "verdict, effects, rivals, changes, title, lines",
     [
-        ("named", 1, [], "The model misses yaw damping: it explains 98% of the gap"),
-        ("multiple", 2, [], "The model misses yaw damping and steering gain: together they explain 98% of the gap"),
-        ("ambiguous", 1, ["tyre_relaxation"], "The model misses yaw damping, or tyre relaxation"),
-        ("unknown", 0, [], "Something real is missing that no known effect explains"),
-        ("none", 0, [], "Nothing is missing: the refitted vehicle reaches the noise"),
-        ("under_excited", 0, [], "This log cannot tell what is missing"),
+        ("named", [DAMPED], [], [], "Your car resists turning", [DAMPED_TOLD, FALLS]),
+        (
+            "multiple",
+            [DAMPED, ASIDE],
+            [],
+            [],
+            "Your car resists turning, and the point that is tracked is not your car's centre of gravity",
+            [
+                DAMPED_TOLD,
+                "The point that is tracked is not your car's centre of gravity: lever arm forward 0.2 m (0.1 … 0.3), "
+                "left 0.1 m (0 … 0.2).",
+                FALLS,
+            ],
+        ),
+        (
+            "ambiguous",
+            [DAMPED],
+            ["tyre_relaxation"],
+            [],
+            "Your car resists turning; or your tyres need a distance to build up side force",
+            [
+                DAMPED_TOLD,
+                "Or, which this log cannot tell from that: your tyres need a distance to build up side force (tyre relaxation).",
+                FALLS,
+            ],
+        ),
+        ("unknown", [], [], [], *2 * ["Something real is missing that no known effect explains"]),
+        ("under_excited", [], [], [], *2 * ["This log cannot tell what is missing"]),
+        ("none", [], [], [], *2 * ["Nothing is missing: the refitted vehicle reaches the noise"]),
+        (
+            "none",
+            [],
+            [],
+            [GRIP],
+            "Grip of the floor: 38% less than configured",
+            [
+                "Grip of the floor: 38% less than configured, friction 0.5 (0.49 … 0.51) instead of 0.8; that is 98% of the gap "
+                "as configured in the motion."
+            ],
+        ),
     ],
 )
-def test_every_verdict_of_a_gap_is_a_sentence(verdict, effects, rivals, title):
-    facts = {"verdict": verdict, "effects": EFFECTS[:effects], "ambiguous_with": rivals, "gap": {"explained": 0.98}}
-    facts["reason"] = "the refitted vehicle reaches the noise"
-    assert gap_page.headline(facts) == title
-    assert gap_page.headline({**facts, "gap": None})  # nothing could be driven
+def test_every_verdict_of_a_gap_is_a_sentence(verdict, effects, rivals, changes, title, lines):
+    facts = {
+        "verdict": verdict,
+        "effects": effects,
+        "ambiguous_with": rivals,
+        "configured": {"changes": changes, "rest": 0.0},
+        "gap": {"before": 2.2, "after": 1.0},
+        "reason": "the refitted vehicle reaches the noise",
+    }
+    assert headline(facts) == title
+    assert opening(facts) == ([f"{lines}."] if isinstance(lines, str) else lines)
+    assert opening({**facts, "gap": None})  # nothing could be driven
 
 
 def test_logs_are_told_by_their_length_and_their_traps():

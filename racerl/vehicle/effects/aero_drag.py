@@ -1,5 +1,6 @@
 """Aerodynamic drag: a force in proportion to the square of speed.
 
+In words: the air holds your car back, the more the faster it goes.
 Formula: F_x ← F_x − c v_x |v_x|, c = ρ c_d A/2.
 Source: drag equation.
 In data: coast-downs that slow faster than linearly at speed.

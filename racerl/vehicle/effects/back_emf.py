@@ -1,5 +1,6 @@
 """The motor has the less torque the faster it turns.
 
+In words: your motor loses torque the faster it turns.
 Formula: ω̇ ≤ a_0 (1 − ω/ω_0).
 Source: torque line of a DC motor at full voltage.
 In data: the steepest speeding up falls in a line with speed; slowing down is not affected.

@@ -1,5 +1,6 @@
 """The speed reached falls short of the command, more and more as the battery runs down.
 
+In words: your car gets slower as the battery runs down.
 Formula: ω_ref ← ω_ref (1 − k τ (1 − exp(−t/τ))).
 Source: discharge curve of a lithium battery: steep at first, then flatter.
 In data: steady wheel speeds fall short of their commands, later more than earlier.

@@ -1,5 +1,6 @@
 """The tyres push to one side even without slip.
 
+In words: your car is pushed to one side even when it rolls straight.
 Formula: F_y ← F_y + c F_z at both axles.
 Source: Pacejka 2012, section 4.3.2 (camber, conicity and ply steer as a shift of F_y).
 In data: the car drifts to one side on straights, by the same acceleration in every direction and at every speed.

@@ -1,5 +1,6 @@
 """The centre of gravity lies beside the middle of the axles.
 
+In words: your car's centre of gravity lies beside the middle.
 Formula: M_z ← M_z − e F_x with F_x what the tyres do along the body; the axles' middles move at v_x − e r.
 Source: moment of the drive about the centre of gravity.
 In data: the car turns to one side under power and to the other when braking, at zero steering.

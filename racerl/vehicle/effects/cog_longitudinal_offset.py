@@ -1,5 +1,6 @@
 """The centre of gravity lies further ahead than weighed.
 
+In words: your car's centre of gravity lies elsewhere than weighed.
 Formula: l_f ← l_f − e, l_r ← l_r + e.
 Source: weighing with other equipment on board.
 In data: the balance between the axles differs, in loads and in lever arms.

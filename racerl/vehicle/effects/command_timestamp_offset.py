@@ -1,5 +1,6 @@
 """Commands and on-board measurements carry stamps that are off against motion capture.
 
+In words: your car's clock and the motion capture's are apart.
 Formula: logged(t) = true(t − T) for delta_ref, omega_ref, delta, omega.
 Source: filters, exposure and transport of the measurement.
 In data: all on-board channels lead or lag the car's motion by one time, and agree among themselves.

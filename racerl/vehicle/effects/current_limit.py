@@ -1,5 +1,6 @@
 """The motor's current, and with it the wheels' acceleration, is limited.
 
+In words: the motor's current limits how hard your car speeds up and brakes.
 Formula: |ω̇| ≤ a_max, with a rounded corner.
 Source: current limit of the motor controller.
 In data: large speed steps are ramps of one slope.

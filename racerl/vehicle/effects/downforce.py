@@ -1,5 +1,6 @@
 """Aerodynamic downforce: the vertical load grows with the square of speed.
 
+In words: the air presses your car down, the more the faster it goes.
 Formula: F_z ← F_z + c v_x², shared over the axles by `balance`; c = −ρ c_l A/2.
 Source: lift equation.
 In data: more lateral acceleration at speed than at the same slip when slow.

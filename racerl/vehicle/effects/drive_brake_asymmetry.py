@@ -1,5 +1,6 @@
 """The wheels slow down with another time constant than they speed up.
 
+In words: your wheels slow down at another pace than they speed up.
 Formula: ω̇ ← ω̇/q where ω̇ < 0: T_ω is q times as long when braking.
 Source: speed controllers with separate limits for motoring and braking.
 In data: steps down take q times as long as steps up.

@@ -1,5 +1,6 @@
 """Dead time of the drive: the motor controller sees the command T seconds late.
 
+In words: your drive answers late.
 Formula: u(t) ← u(t − T) for the wheel-speed or current reference.
 Source: transport delay of bus and motor controller.
 In data: measured wheel speed starts to move T after the command.

@@ -1,5 +1,6 @@
 """The wheels fall behind their reference under load.
 
+In words: your wheels fall behind the command under load.
 Formula: ω̇ ← ω̇ − k ΣF_x.
 Source: proportional speed control without an integral term.
 In data: wheel speed falls short while the car accelerates or climbs, and overshoots while it brakes.

@@ -1,5 +1,6 @@
 """The wheels turn no faster than ω_max, whatever is commanded.
 
+In words: your wheels turn no faster than a limit, whatever is commanded.
 Formula: |ω_ref| ≤ ω_max, with a rounded corner.
 Source: speed limit of the motor controller.
 In data: commands beyond ω_max all end at one measured wheel speed.

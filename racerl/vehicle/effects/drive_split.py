@@ -1,5 +1,6 @@
 """A differential between the axles lets them turn apart, so that each carries its share of the drive's force.
 
+In words: your axles do not turn as one, so that each carries its own share of the drive's force.
 Formula: the front axle turns at ω + Δ, the rear one at ω − Δ, Δ̇ = k v (q F_xr − (1 − q) F_xf − c Δ), k = 0.1 s/(kg m).
 Source: Milliken and Milliken 1995, chapter 20: centre differentials; q = ½ for an even one, c = ∞ for locked axles.
 In data: power on in a turn pulls the nose in (large q) or pushes it out, and each axle slips on its own.

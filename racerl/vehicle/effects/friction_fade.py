@@ -1,5 +1,6 @@
 """Grip is lost over time.
 
+In words: your tyres lose grip over time.
 Formula: μ ← μ (1 − k τ (1 − exp(−t/τ))), not below a tenth.
 Source: wear and dust; a line at first, which levels off.
 In data: the same manoeuvre shows less grip late than early, a rest does not bring it back.

@@ -1,5 +1,6 @@
 """A slippery (or sticky) place on the ground.
 
+In words: one place on your floor has another grip than the rest.
 Formula: μ ← μ (1 − d/2 (1 − tanh((ρ − 1)/e))), ρ the distance from (x, y) in patch radii: a disc with a soft edge.
 Source: dust, water or tape on the floor.
 In data: grip differs in one place, on every pass and in both directions.

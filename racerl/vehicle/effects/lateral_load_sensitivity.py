@@ -1,5 +1,6 @@
 """Load transfer to the outer wheels costs grip: tyres gain less from load than they lose.
 
+In words: your tyres lose grip as cornering loads the outer ones.
 Formula: μ ← μ (1 − k |a_y|), a_y = v_x r as in a steady turn.
 Source: Pacejka 2012, section 1.3.5; Milliken and Milliken 1995, chapter 2.
 In data: grip falls as lateral acceleration grows, at equal slip.

@@ -1,5 +1,6 @@
 """The tracked point lies beside the centre of gravity.
 
+In words: the point that is tracked is not your car's centre of gravity.
 Formula: logged (x, y) = true (x, y) + R(ψ) (a, b), logged v = true v + r (−b, a).
 Source: kinematics of a rigid body.
 In data: v_y shows a share of the yaw rate, v_x a share of it in turns; the pose swings about the true one.

@@ -1,5 +1,6 @@
 """Left and right wheels turn at one speed: in a turn the inner one drives, the outer one brakes.
 
+In words: your left and right wheels turn at one speed, which resists turning.
 Formula: M_z = −(w/4) Σ_axles [F_x(κ + Δ) − F_x(κ − Δ)], Δ = w r/(2V), with half of an axle's force at each wheel.
 Source: Milliken and Milliken 1995, chapter 20: the yaw moment of a spool.
 In data: turns are wider at low speed than the tyres foretell, less so at high speed and when the tyres slide.

@@ -1,5 +1,6 @@
 """Braking loads the front axle, driving the rear.
 
+In words: your car's weight moves forward when it brakes and back when it speeds up.
 Formula: F_z,front ← F_z,front − m a_x h/L, F_z,rear ← F_z,rear + m a_x h/L; the body pitches with a lag of 20 ms.
 Source: Milliken and Milliken 1995, chapter 18.
 In data: the nose grips more under braking, the tail under power, in turns above all.

@@ -1,5 +1,6 @@
 """The markers' axis is turned against the car's.
 
+In words: the motion capture's heading is turned against your car.
 Formula: logged ψ = true ψ + ε, logged v = R(−ε) true v.
 Source: definition of the rigid body in motion capture.
 In data: v_y is a share of v_x, of one sign on straights, though nothing accelerates sideways.

@@ -1,5 +1,6 @@
 """Motion capture is late against what is measured on board.
 
+In words: the motion capture is late.
 Formula: logged(t) = true(t − T) for x, y, yaw, v_x, v_y, yaw_rate.
 Source: filters, exposure and transport of the measurement.
 In data: yaw rate and speed follow measured steering and wheel speed later than the car can be.

@@ -1,5 +1,6 @@
 """The motor brakes by itself while the command is below the wheel speed.
 
+In words: your motor brakes by itself while the command is below the wheel speed.
 Formula: ω̇ ← ω̇ − c ω tanh(e/w), e = max(ω − ω_ref, 0): the demand e calls on the braking up to its limit c ω.
 Source: generator torque of a shorted motor, proportional to speed.
 In data: slowing down starts steeper at high speed than the first-order lag foretells.

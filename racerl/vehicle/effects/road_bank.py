@@ -1,5 +1,6 @@
 """The floor leans towards the inside of the course, or away from it.
 
+In words: your floor leans across the course.
 Formula: F ← F − m g β e_r: the weight's share towards (x, y), the middle of the course, rounded within 1 m of it.
 Source: weight on a bowl: banked turns.
 In data: the car is pulled inwards (β > 0) or outwards, whatever way round it drives.

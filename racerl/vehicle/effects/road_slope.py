@@ -1,5 +1,6 @@
 """The floor is tilted.
 
+In words: your floor is tilted.
 Formula: F ← F + m g (s_x, s_y) in the world.
 Source: weight on a tilted plane.
 In data: the car is pulled towards one side of the room, whatever way it points.

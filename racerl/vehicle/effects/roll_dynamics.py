@@ -1,5 +1,6 @@
 """The lateral load arrives late: the body has to roll first.
 
+In words: your car's body rolls before its tyres feel the turn.
 Formula: μ ← μ (1 − k |φ|) with φ̈ = Ω² (a_y − φ) − 2 ζ Ω φ̇, ζ = 0.5, a_y = F_y/m.
 Source: Milliken and Milliken 1995, chapter 18: roll of the sprung mass.
 In data: grip falls a fraction of a second after the lateral acceleration has built up.

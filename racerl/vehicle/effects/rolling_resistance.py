@@ -1,5 +1,6 @@
 """Rolling resistance: a constant force against the rolling of the wheels.
 
+In words: your wheels roll against a constant resistance.
 Formula: F_0 tanh(v_x/0.1) against the rolling, shared by the axles as their static loads: at the front along the wheel.
 Source: Milliken and Milliken 1995, section 2.8.
 In data: coast-downs slow at one rate at every speed; the wheels run slightly ahead of the car at steady speed.

@@ -1,5 +1,6 @@
 """Grip falls with speed.
 
+In words: your tyres grip less the faster they go.
 Formula: μ ← μ (1 − k |v_x|), not below a tenth.
 Source: friction of rubber on smooth ground over sliding speed.
 In data: less lateral acceleration is reached at speed than when slow.

@@ -1,5 +1,6 @@
 """Play between servo and linkage: the road wheels rest until the servo has crossed the gap.
 
+In words: your steering has play.
 Formula: the linkage's angle stays within δ ± b/2 and moves only when pushed; a lag of 6 ms makes the push smooth.
 Source: the play operator of mechanics.
 In data: after each reversal of the steering, the yaw rate waits for a change of b of the measured angle.

@@ -1,5 +1,6 @@
 """The linkage gives way under the side force of the front axle.
 
+In words: your steering gives way under the tyres' side force.
 Formula: δ_w = δ − C F_y,front, where the force reaches the linkage with a lag of 10 ms.
 Source: Pacejka 2012, section 1.3.4 (effective axle characteristics).
 In data: less turning than the angle foretells, in proportion to the side force; front tyres seem softer.

@@ -1,5 +1,6 @@
 """The servo does not answer errors below d.
 
+In words: your servo ignores small errors.
 Formula: δ̇ ← δ̇ · g(|δ_ref − δ|), where g rises from 0 to 1 about d.
 Source: dead band of hobby servos.
 In data: the measured angle stops up to d short of the command, on the side it came from.

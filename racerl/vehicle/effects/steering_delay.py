@@ -1,5 +1,6 @@
 """Dead time of the steering: the servo sees the command T seconds late.
 
+In words: your steering answers late.
 Formula: δ_ref(t) ← δ_ref(t − T).
 Source: transport delay of bus, controller and servo electronics.
 In data: measured steering starts to move T after the command, whatever the size of the step.

@@ -1,5 +1,6 @@
 """The road wheels turn by k times the measured angle.
 
+In words: your road wheels turn by another factor than the steering says.
 Formula: δ_w = k δ.
 Source: calibration of the steering sensor or of the servo.
 In data: every circle is tighter or wider by one factor, at low speed too.

@@ -1,5 +1,6 @@
 """The linkage turns the wheels further to one side than to the other.
 
+In words: your steering turns the wheels further to one side than to the other.
 Formula: δ_w = δ (1 + a) to the left, δ (1 − a) to the right.
 Source: servo horn off its neutral angle.
 In data: equal angles give tighter circles on one side.

@@ -1,5 +1,6 @@
 """The linkage is progressive or degressive.
 
+In words: your steering is not proportional to its command.
 Formula: δ_w = δ + c δ³.
 Source: Ackermann linkage and servo horn geometry.
 In data: large angles turn the car more (c > 0) or less than small ones foretell.

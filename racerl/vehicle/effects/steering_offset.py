@@ -1,5 +1,6 @@
 """The road wheels stand at an angle when the servo says zero.
 
+In words: your steering is off centre.
 Formula: δ_w = δ + δ_0.
 Source: trim of the linkage.
 In data: a constant curvature at zero measured steering, of the same sign at every speed.

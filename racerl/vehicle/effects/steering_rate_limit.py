@@ -1,5 +1,6 @@
 """The servo turns no faster than R.
 
+In words: your servo turns no faster than a limit.
 Formula: |δ̇| ≤ R, with a rounded corner.
 Source: no-load speed of a servo (s per 60° of its data sheet).
 In data: large steps are ramps of one slope, small ones exponentials.

@@ -1,5 +1,6 @@
 """The road wheels stop at ± δ_max.
 
+In words: your road wheels stop short of the lock.
 Formula: |δ_w| ≤ δ_max, with a rounded corner.
 Source: mechanical stop of the steering.
 In data: beyond δ_max more steering changes nothing.

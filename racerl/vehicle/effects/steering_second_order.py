@@ -1,5 +1,6 @@
 """A servo of second order: it has inertia and may overshoot.
 
+In words: your servo has inertia and may overshoot.
 Formula: δ̈ = Ω² (δ_ref − δ) − 2 ζ Ω δ̇, in place of the first-order lag.
 Source: position-controlled servo, any text on linear control.
 In data: steps start with zero slope and, for ζ < 1, overshoot; the phase passes −90°.

@@ -1,5 +1,6 @@
 """The measured steering angle is late.
 
+In words: your steering sensor is late.
 Formula: logged(t) = true(t − T) for delta.
 Source: filters, exposure and transport of the measurement.
 In data: the car turns before the measured steering angle does; the command leads it by the same time too much.

@@ -1,5 +1,6 @@
 """The steering sensor shows an angle at straight wheels.
 
+In words: your steering sensor is off centre.
 Formula: logged δ = true δ + b.
 Source: zero of a potentiometer.
 In data: measured steering settles beside its command, and the car drives straight at a measured angle b.

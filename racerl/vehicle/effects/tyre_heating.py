@@ -1,5 +1,6 @@
 """Sliding heats the tyres, and hot tyres grip less.
 
+In words: sliding heats your tyres, and they lose grip.
 Formula: μ ← μ (1 − k Θ), Θ̇ = (P/10 W − Θ)/τ, P = Σ |F · v_slip| the power lost in the contact patches.
 Source: lumped heat balance of a tyre.
 In data: grip falls while the car is driven hard and comes back at rest.

@@ -1,5 +1,6 @@
 """Tyre relaxation: the slip angle builds up over a distance.
 
+In words: your tyres need a distance to build up side force.
 Formula: α̇ = (α_ss − α)/(σ/(|v_x| + 0.1) + 3 ms) for both axles; the 3 ms keep short lengths integrable.
 Source: Pacejka 2012, chapter 7 (single-contact-point transient model).
 In data: lateral force and yaw rate lag the steering by a time that shrinks with speed.

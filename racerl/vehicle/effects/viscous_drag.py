@@ -1,5 +1,6 @@
 """Viscous drag: a force in proportion to speed.
 
+In words: your car is held back in proportion to its speed.
 Formula: F_x ← F_x − c v_x.
 Source: bearing and gear losses.
 In data: coast-downs slow exponentially; the wheels run ahead of the car in proportion to speed.

@@ -1,5 +1,6 @@
 """Tyres grow with speed, so that the wheel speed sensor shows too little.
 
+In words: your tyres grow with speed.
 Formula: logged ω = true ω (1 − c ω²).
 Source: centrifugal growth of soft tyres.
 In data: the car outruns its measured wheel speed more and more with speed.

@@ -1,5 +1,6 @@
 """The wheel speed sensor is off by a factor.
 
+In words: your wheel speed sensor is off by a factor.
 Formula: logged ω = k · true ω.
 Source: wrong wheel radius or gear ratio.
 In data: measured wheel speed and the car's speed differ by one factor on straights, and from the command too.

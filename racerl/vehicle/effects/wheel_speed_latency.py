@@ -1,5 +1,6 @@
 """The measured wheel speed is late.
 
+In words: your wheel speed sensor is late.
 Formula: logged(t) = true(t − T) for omega.
 Source: filters, exposure and transport of the measurement.
 In data: the car speeds up before the measured wheel speed does.

@@ -1,5 +1,6 @@
 """A moment against the yaw rate.
 
+In words: your car resists turning.
 Formula: M_z ← M_z − c r.
 Source: tyre scrub and air, in proportion to the yaw rate.
 In data: turns are wider than the tyres foretell, by the same moment at equal yaw rate at any speed.

@@ -1,0 +1,88 @@
+"""A verdict in plain words: what the terminal and the page begin with, from the facts of verdict.json alone."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from racerl.vehicle import catalogue
+
+PLAIN = {"steering": "steering", "drive": "drive", "chassis": "motion"}  # stages, as they are told
+NOTHING = {
+    "under_excited": "This log cannot tell what is missing",
+    "unknown": "Something real is missing that no known effect explains",
+}
+
+
+def headline(facts: Mapping[str, Any]) -> str:
+    """Return a verdict in one sentence without numbers."""
+    names, rivals = [effect["name"] for effect in facts["effects"]], facts["ambiguous_with"]
+    said = [f"{row['what']}: {_change(row)} than configured" for row in facts["configured"]["changes"]]
+    if names:
+        said.append(_listed([in_words(name) for name in names]))
+    elif facts["verdict"] in NOTHING:
+        said.append(NOTHING[facts["verdict"]])
+    elif not said:
+        said.append(f"nothing is missing: {facts['reason']}")
+    if rivals:
+        said.append(f"or {_listed([in_words(name) for name in rivals], 'or')}")
+    return _capital("; ".join(said))
+
+
+def opening(facts: Mapping[str, Any]) -> list[str]:
+    """Return a verdict in sentences: the numbers that are off, what the car does, and what that is worth."""
+    lines = numbers_told(facts["configured"])
+    lines += [_effect(effect) for effect in facts["effects"]]
+    if rivals := facts["ambiguous_with"]:
+        rather = _listed([f"{in_words(name)} ({name.replace('_', ' ')})" for name in rivals], "or")
+        lines.append(f"or, which this log cannot tell from that: {rather}")
+    if not facts["effects"] and (facts["verdict"] in NOTHING or not lines):
+        lines.append(NOTHING.get(facts["verdict"], f"nothing is missing: {facts['reason']}"))
+    gap = facts["gap"]
+    if gap and facts["effects"]:
+        lines.append(
+            f"with that the error falls from {gap['before']:.2f} to {gap['after']:.2f} times the sensors' noise"
+        )
+    return [f"{_capital(line)}." for line in lines]
+
+
+def numbers_told(configured: Mapping[str, Any]) -> list[str]:
+    """Return a line for every number that was configured wrongly, and one for a refit of all that explains more."""
+    lines = [
+        f"{row['what']}: {_change(row)} than configured, {row['parameter']} {row['to']:.4g} "
+        f"({row['ci95'][0]:.4g} … {row['ci95'][1]:.4g}) instead of {row['from']:.4g}; that is {row['explained']:.0%} "
+        f"of the gap as configured in the {' and the '.join(PLAIN[stage] for stage in row['stages'])}"
+        for row in configured["changes"]
+    ]
+    if lines and configured["rest"]:
+        lines.append(f"a refit of all parameters around that, which model.yaml is, takes {configured['rest']:.0%} more")
+    return lines
+
+
+def in_words(effect: str) -> str:
+    """Return what a car with an effect does, as a clause; the first line of its docstring where that is not told."""
+    entry = catalogue.entry(effect)
+    return entry.aspects.get("In words", entry.title).rstrip(".")
+
+
+def _effect(effect: Mapping[str, Any]) -> str:
+    """Return an effect with its values: "your car resists turning: yaw damping 0.40 N m s (0.36 … 0.44)"."""
+    parameters, name = effect["parameters"], effect["name"].replace("_", " ")
+    alone = len(parameters) == 1
+    values = [_value(p) if alone else f"{key.replace('_', ' ')} {_value(p)}" for key, p in parameters.items()]
+    return f"{in_words(effect['name'])}: {name} {', '.join(values)}"
+
+
+def _value(p: Mapping[str, Any]) -> str:
+    unit = f" {p['unit']}" if p["unit"] else ""
+    return f"{p['value']:.4g}{unit} ({p['ci95'][0]:.4g} … {p['ci95'][1]:.4g})"
+
+
+def _change(row: Mapping[str, Any]) -> str:
+    return f"{abs(row['to'] / row['from'] - 1.0):.0%} {'less' if row['to'] < row['from'] else 'more'}"
+
+
+def _listed(clauses: Sequence[str], word: str = "and") -> str:
+    return f", {word} ".join([*([", ".join(clauses[:-1])] if len(clauses) > 1 else []), *clauses[-1:]])
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
