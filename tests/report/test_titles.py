@@ -46,7 +46,8 @@ FALLS = "With that the error falls from 2.20 to 1.00 times the sensors' noise."
             "Your car resists turning; or your tyres need a distance to build up side force",
             [
                 DAMPED_TOLD,
-                "Or, which this log cannot tell from that: your tyres need a distance to build up side force (tyre relaxation).",
+                "Or, which this log cannot tell from that: "
+                "your tyres need a distance to build up side force (tyre relaxation).",
                 FALLS,
             ],
         ),
@@ -60,8 +61,8 @@ FALLS = "With that the error falls from 2.20 to 1.00 times the sensors' noise."
             [GRIP],
             "Grip of the floor: 38% less than configured",
             [
-                "Grip of the floor: 38% less than configured, friction 0.5 (0.49 … 0.51) instead of 0.8; that is 98% of the gap "
-                "as configured in the motion."
+                "Grip of the floor: 38% less than configured, friction 0.5 (0.49 … 0.51) instead of 0.8; "
+                "that is 98% of the gap as configured in the motion."
             ],
         ),
     ],
