@@ -1,6 +1,7 @@
 """A decision in the making: the effects kept so far, the fit with them, and what it leaves."""
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,7 @@ class Decision(Standing):
     kept: dict[str, list[CandidateScore]]  # every effect, and its rivals, beside the others
     score: Score  # of the refitted vehicle without effects
     rounds: list[list[CandidateScore]] = field(default_factory=list)
+    features: list[dict[str, Any]] = field(default_factory=list)  # of every round
     excess: list[float] = field(default_factory=list)  # of the cost over the noise, before each round and at the end
 
     @property

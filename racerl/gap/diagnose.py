@@ -265,7 +265,7 @@ def _named(
             {"name": row.name, "heldout_gain": row.gain, "p": row.p, "explained": row.explained, "behind": row.behind}
             for row in (decision.rounds[0] if decision.rounds else [])
         ],
-        "rounds": [[row.name for row in rows] for rows in decision.rounds],
+        "rounds": decision.features,
         "excess": decision.excess,
         "blind": list(verdict.blind),
     }

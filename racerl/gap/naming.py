@@ -11,6 +11,7 @@ from racerl.gap.comparison import CandidateScore, Judge, excess
 from racerl.gap.cross_validation import held_out
 from racerl.gap.decision import Decision, carried, changed, passes_less_noise
 from racerl.gap.elimination import eliminated, settled
+from racerl.gap.features import features
 from racerl.gap.investigation import Investigation
 from racerl.gap.progress import OnProgress, silent, within
 from racerl.gap.score import Score, summed
@@ -40,6 +41,7 @@ def name_effects(investigation: Investigation, on_progress: OnProgress = silent)
         while rows and rows[0].needed and passes_less_noise(judge, decision, rows[0]):
             rows = judge.ranked(rows[1:], decision.cost)
         decision.rounds.append(rows)
+        decision.features.append(features(judge, decision, rows))
         if not rows or not rows[0].needed:
             break
         found = carried(investigation, rows[0].found)

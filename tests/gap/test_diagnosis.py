@@ -99,7 +99,7 @@ def test_a_consistent_log_is_found_consistent_and_the_chain_adds_up(diagnosis):
 def test_the_page_shows_verdict_and_pictures(diagnosis):
     page = draw_gap(diagnosis.out).read_text()
     assert "The whole chain" in page and "Kinematic consistency" in page
-    assert "yaw_damping" in page and page.count("</figure>") in (2, 3)
+    assert "yaw_damping" in page and page.count("</figure>") in (4, 5)
     with pytest.raises(RunError, match="choose another out="):
         gap(diagnosis.settings, diagnosis.out)
 
