@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
+from racerl.estimation.unknowns import Unknown
 from racerl.gap.comparison import CandidateScore, Judge, Standing, excesses
 from racerl.gap.fitted_model import touched
 
@@ -34,7 +35,10 @@ def features(judge: Judge, standing: Standing, rows: Sequence[CandidateScore]) -
                 "worth": row.worth,
                 "fall": row.fall,
                 "like": row.like,
-                "size": row.size,
+                "values": {unknown.name: row.found.theta[unknown.name] for unknown in _own(row)},
+                "at_bound": [
+                    unknown.name for unknown in _own(row) if _at_bound(unknown, row.found.theta[unknown.name])
+                ],
                 "stages": touched(investigation, row.found.vehicle, [row.name]),
                 "held_out": over_noise(row.cost),
                 "fit": over_noise({stage: row.found.cost[stage] for stage in row.cost if stage in row.found.cost}),
@@ -42,3 +46,12 @@ def features(judge: Judge, standing: Standing, rows: Sequence[CandidateScore]) -
             for row in rows
         ],
     }
+
+
+def _own(row: CandidateScore) -> list[Unknown]:
+    """Return the effect's own parameters."""
+    return [unknown for unknown in row.found.problem.unknowns if unknown.name.startswith(f"effects.{row.name}.")]
+
+
+def _at_bound(unknown: Unknown, value: float) -> bool:
+    return not unknown.low < value < unknown.high
