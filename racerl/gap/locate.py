@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import false_discovery_control
 
+from racerl.gap.actuators import actuators
 from racerl.gap.evidence import COMMANDS, Evidence
 from racerl.gap.growth import growth, segments
 from racerl.gap.investigation import Investigation
@@ -224,5 +225,6 @@ def locate(investigation: Investigation, whole: Evidence | None) -> dict[str, An
         "where": clues(everything),
         "lags": lags(investigation, errors),
         "chain": _chain(investigation, whole) if whole else None,
+        "actuators": actuators(investigation.evidence),
         "kinematics": consistency(chassis) if chassis else [],
     }

@@ -10,7 +10,7 @@ from racerl.documents import read_json, read_yaml
 from racerl.errors import DocumentError, RunError
 from racerl.gap.diagnose import LOCATE, PROOF, VERDICT
 from racerl.gap.sentences import PLAIN, headline, opening
-from racerl.report.figures import gap_channels, gap_maps, gap_path, gap_ranking, gap_stretch
+from racerl.report.figures import gap_actuators, gap_channels, gap_maps, gap_path, gap_ranking, gap_stretch
 from racerl.report.page import figure, provenance, write_page
 from racerl.run import CONFIG, RunFolder
 
@@ -23,7 +23,7 @@ def draw_gap(run: Path) -> Path:
         proof, located = (read_json(folder.path / name) if facts["gap"] else None for name in (PROOF, LOCATE))
         figures = [
             figure(folder.path / f"{name}.svg", title, caption, svg)
-            for name, title, caption, svg in _drawn(facts, proof)
+            for name, title, caption, svg in _drawn(facts, proof, located)
             if svg
         ]
         return write_page(
@@ -43,8 +43,10 @@ def draw_gap(run: Path) -> Path:
         raise RunError(f"{run}: is damaged ({' '.join(str(error).split())}); run racerl gap again") from error
 
 
-def _drawn(facts: dict[str, Any], proof: dict[str, Any] | None) -> list[tuple[str, str, str, str | None]]:
-    if proof is None:
+def _drawn(
+    facts: dict[str, Any], proof: dict[str, Any] | None, located: dict[str, Any] | None
+) -> list[tuple[str, str, str, str | None]]:
+    if proof is None or located is None:
         return []
     added = bool(facts["effects"] or facts["helped"])
     units = {name: channel.unit for name, channel in CHANNELS.items()}
@@ -67,6 +69,12 @@ def _drawn(facts: dict[str, Any], proof: dict[str, Any] | None) -> list[tuple[st
             "The gap by channel",
             "Root-mean-square error of held-out rollouts over what the sensors' noise alone leaves.",
             gap_channels.draw(facts["gap"]["by_channel"], added),
+        ),
+        (
+            "actuators",
+            "The actuators by themselves",
+            "Measured where the command had stood for 0.3 s, without any model; dotted: response = command.",
+            gap_actuators.draw(located["actuators"], units),
         ),
         (
             "ranking",

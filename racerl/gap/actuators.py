@@ -1,0 +1,66 @@
+"""The actuators by themselves: what was commanded against what was measured, without any model of the car."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import siegelslopes
+
+from racerl.gap.evidence import Evidence
+
+Array = NDArray[np.float64]
+ACTUATORS = {"steering": ("delta_ref", "delta"), "drive": ("omega_ref", "omega")}
+HOLD, CALM = 0.3, 0.01  # s for which a command has to stand, and share of its range by which it may move meanwhile
+FEWEST, MOST = 20, 600  # settled samples, below which nothing is said, and that are kept at most
+LONGEST = 0.5  # s, of a lag
+
+
+def actuators(evidence: Mapping[str, Evidence]) -> dict[str, dict[str, Any]]:
+    """Return what was measured where a command had settled, by actuator; those that were not logged are left out.
+
+    `scale` and `offset`: response = scale × command + offset, by Siegel's repeated medians; `lag` in s, by which it
+    follows that best; `most`: the largest command and response in size; `command`, `response`: settled samples.
+    """
+    found = {}
+    for name, (asked, shown) in ACTUATORS.items():
+        part = evidence.get(name)
+        if part is None or not {asked, shown} <= set(part.columns):
+            continue
+        command, response = part.columns[asked], part.columns[shown]
+        rows = _settled(part, command)
+        if len(rows) < FEWEST or np.ptp(command[rows]) == 0.0:
+            continue
+        rows = rows[np.linspace(0, len(rows) - 1, min(MOST, len(rows))).astype(int)]
+        scale, offset = siegelslopes(response[rows], command[rows])
+        found[name] = {
+            "channels": [asked, shown],
+            "scale": float(scale),
+            "offset": float(offset),
+            "lag": _lag(part, scale * command + offset, response),
+            "most": [float(np.abs(column).max()) for column in (command, response)],
+            "command": command[rows].round(5).tolist(),
+            "response": response[rows].round(5).tolist(),
+        }
+    return found
+
+
+def _settled(evidence: Evidence, command: Array) -> NDArray[np.int64]:
+    """Return the rows at which a command has stood for a while in its run."""
+    back = max(1, round(HOLD / evidence.dt))
+    moved = np.abs(np.diff(command, prepend=command[0]))
+    moved[evidence.first] = 0.0  # a run's first row has nothing before it
+    since = np.cumsum(moved)
+    rows = np.flatnonzero(np.arange(len(command)) - evidence.first >= back)
+    calm = since[rows] - since[rows - back] <= CALM * np.ptp(command)
+    return rows[calm]
+
+
+def _lag(evidence: Evidence, wanted: Array, response: Array) -> float:
+    """Return by how many s the response follows what was wanted, where both differ least in the longest run."""
+    row = int(np.argmax(evidence.last - evidence.first))
+    run = slice(evidence.first[row], evidence.last[row] + 1)
+    asked, shown = wanted[run], response[run]
+    shifts = range(min(round(LONGEST / evidence.dt), len(asked) - 1))
+    away = [float(((shown[k:] - asked[: len(asked) - k]) ** 2).mean()) for k in shifts]
+    return float(np.argmin(away) * evidence.dt)
