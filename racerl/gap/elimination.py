@@ -79,11 +79,10 @@ def settled(investigation: Investigation, decision: Decision) -> Decision:
 
 
 def _idle(name: str, ranges: Mapping[str, tuple[float, float, float]]) -> bool:
-    first, zero = neutral(name)
-    if not catalogue.entry(name).cls.vanishes:
-        return False
-    _, low, high = ranges[f"effects.{name}.{first}"]
-    return low <= zero <= high
+    """Return whether the intervals of all parameters that vanish without the effect hold that."""
+    entry, (_, zero) = catalogue.entry(name), neutral(name)
+    known = [ranges[f"effects.{name}.{key}"] for key in list(entry.parameters)[: entry.cls.vanishing]]
+    return bool(known) and all(low <= zero <= high for _, low, high in known)
 
 
 def _nowhere(name: str, ranges: Mapping[str, tuple[float, float, float]], evidence: Mapping[str, Evidence]) -> bool:

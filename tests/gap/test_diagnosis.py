@@ -413,6 +413,9 @@ def test_a_rear_driven_split_is_no_idle_effect():
     assert _idle("steering_offset", {"effects.steering_offset.offset": (0.001, -0.001, 0.003)})
     assert not _idle("steering_offset", {"effects.steering_offset.offset": (0.003, 0.001, 0.005)})
     assert not _idle("drive_split", {"effects.drive_split.front": (0.0, 0.0, 0.1)})  # bounds, not doubt
+    ahead, aside = ((0.0005, -0.001, 0.002), (0.005, 0.004, 0.006))  # a point beside the car, neither ahead nor behind
+    assert not _idle("lever_arm", {"effects.lever_arm.forward": ahead, "effects.lever_arm.left": aside})
+    assert _idle("lever_arm", {"effects.lever_arm.forward": ahead, "effects.lever_arm.left": ahead})
 
 
 def test_a_place_anywhere_on_the_floor_is_none():

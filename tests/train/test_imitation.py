@@ -174,10 +174,10 @@ def taught(monkeypatch, teacher):
 
 
 def test_a_policy_learns_from_it(settings, taught, tmp_path):
-    quick = {**settings, "algo": {**settings["algo"], "rounds": 6, "cars": 192, "updates": 50, "batch": 1024}}
+    quick = {**settings, "algo": {**settings["algo"], "rounds": 9, "cars": 192, "updates": 50, "batch": 1024}}
     quick["algo"]["last_updates"] = 200
     facts = train(quick, tmp_path / "run")
-    assert facts["steps"] == 6 * 192 * 40
+    assert facts["steps"] == 9 * 192 * 40
     laps, crashed = driven(settings, tmp_path / "run")
     assert crashed < 0.15 and laps > 10.0 / (1.3 * FLOOR)
     losses = [json.loads(line)["train/loss"] for line in (tmp_path / "run" / "progress.jsonl").read_text().splitlines()]

@@ -31,7 +31,7 @@ class DriveSplit(Effect):
     coupling: Scalar = parameter("N s/m", 0.0, 200.0, "c", 5.0)
 
     states: ClassVar[tuple[str, ...]] = ("apart",)
-    vanishes: ClassVar[bool] = False
+    vanishing: ClassVar[int] = 0
 
     def slip(self, slips: "Slips", motion: "Motion", ops: Ops) -> "Slips":
         """Turn the front axle faster and the rear one slower by Δ."""

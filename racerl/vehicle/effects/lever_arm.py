@@ -26,6 +26,7 @@ class LeverArm(Effect):
 
     symmetric: ClassVar[bool] = False
     exact: ClassVar[bool] = True
+    vanishing: ClassVar[int] = 2
 
     def measure(self, channels: Mapping[str, Scalar], ops: Any) -> Mapping[str, Scalar]:
         """Return pose and velocities of the tracked point."""

@@ -29,6 +29,7 @@ class RoadSlope(Effect):
     symmetric: ClassVar[bool] = False
     uniform: ClassVar[bool] = False
     exact: ClassVar[bool] = True
+    vanishing: ClassVar[int] = 2
 
     def wrench(self, wrench: "Wrench", forces: "Forces", motion: "Motion", ops: Ops) -> "Wrench":
         """Add the weight's share along the plane, in body axes."""
