@@ -112,7 +112,7 @@ class Evidence:
         measured = np.stack([self.columns[name][rows] for name in self.observed])  # (C, W, T + 1)
         initial = np.zeros((len(states), len(self.start)))
         for i, name in enumerate(states):
-            source = name if name in self.columns else INSTEAD.get(name)
+            source = INSTEAD.get(name) if name not in self.columns or self._stands(name) else name
             if name in STATE and source in self.columns:
                 initial[i] = self.columns[source][self.start]
         return Windows(
@@ -174,15 +174,23 @@ class Evidence:
         """Return how precisely a window's initial state is known from its measurement, in 1/σ².
 
         Zero for outputs, whose first sample is among the residuals, and for what was not measured; but an actuator
-        whose command never changes is where it was commanded.
+        that stands is where it was commanded.
         """
-        if name not in self.columns and self._never_moves(INSTEAD.get(name)):
+        if self._stands(name):
             return STILL**-2
         return 0.0 if name in self.stage.outputs or name not in self.columns else float(self.noise_of([name])[0]) ** -2
 
-    def _never_moves(self, command: str | None) -> bool:
-        """Return whether a command was logged and is the same throughout each run."""
-        return command in self.columns and bool((self.columns[command] == self.columns[command][self.first]).all())
+    def _stands(self, name: str) -> bool:
+        """Return whether an actuator's command is the same throughout each run, and what was measured of it is noise.
+
+        Such a log tells nothing of how fast the actuator is: a window that began elsewhere would only follow noise.
+        """
+        command = INSTEAD.get(name)
+        if command not in self.columns or (self.columns[command] != self.columns[command][self.first]).any():
+            return False
+        if name not in self.columns:
+            return True
+        return _wander(self.columns[name], self.first) ** 2 < QUIET * float(self.noise_of([name])[0]) ** 2
 
     def noise(self) -> Array:
         """Return the standard deviation of each output's noise, (C,): what local polynomials do not follow."""
@@ -205,18 +213,21 @@ class Evidence:
 
     def noise_of(self, names: Sequence[str]) -> Array:
         """Return the standard deviation of some channels' noise."""
+        for name in names:
+            if name not in self._deviations:
+                self._deviations[name] = self._deviation(self.columns[name])
+        return np.array([self._deviations[name] for name in names])
+
+    @cached_property
+    def _deviations(self) -> dict[str, float]:
+        """The noise of channels as far as it was asked for."""
+        return {}
+
+    def _deviation(self, column: Array) -> float:
         begins = np.unique(self.first)
         sizes = self.last[begins] + 1 - begins
-        deviation = [
-            np.sqrt(
-                np.average(
-                    [_spread(self.columns[name][b : b + n]) ** 2 for b, n in zip(begins, sizes, strict=True)],
-                    weights=sizes,
-                )
-            )
-            for name in names
-        ]
-        return np.maximum(np.array(deviation), 1e-9)
+        squares = [_spread(column[b : b + n]) ** 2 for b, n in zip(begins, sizes, strict=True)]
+        return max(float(np.sqrt(np.average(squares, weights=sizes))), 1e-9)
 
 
 def contradictory(logs: Sequence[Log]) -> bool:
@@ -241,6 +252,13 @@ def derived(runs: Sequence[pd.DataFrame], dt: float) -> bool:
             if (np.median(np.abs(made - given)[:, inner], axis=1) < ALIKE * np.maximum(noise, 1e-6)).all():
                 return True
     return False
+
+
+def _wander(column: Array, first: Index) -> float:
+    """Return the standard deviation of a channel about its mean of each run."""
+    run = np.unique(first, return_inverse=True)[1]
+    mean = np.bincount(run, column) / np.bincount(run)
+    return float(np.std(column - mean[run]))
 
 
 def _quiet(lost: Array, noise: float) -> bool:

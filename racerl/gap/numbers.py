@@ -5,12 +5,13 @@ and enough to tell of, and as long as it stays in reach of what was configured; 
 again. A refit of all parameters around these must then earn its place: else the vehicle has these few changed only.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from racerl.estimation.unknowns import Unknown
@@ -23,6 +24,7 @@ from racerl.gap.fitted_model import COG, LONGEST, FittedModel, fit_model, settle
 from racerl.gap.investigation import Investigation
 from racerl.gap.progress import OnProgress, silent
 from racerl.gap.uncertainty import intervals
+from racerl.vehicle.ops import TORCH
 from racerl.vehicle.parameter import replace_values, specifications, values
 from racerl.vehicle.vehicle import Vehicle
 
@@ -30,10 +32,12 @@ Array = NDArray[np.float64]
 GRIP = "friction"
 SPREAD = 0.5  # deviation of a number's prior, as a share of it: no more than a restraint
 REACH = 2.5  # times what was configured, or its inverse: what runs further is something else in disguise
-PEAKS = ("front.p_Dy1", "rear.p_Dy1")
-ALL_PEAKS = (*PEAKS, "front.p_Dx1", "rear.p_Dx1")
+ALL_PEAKS = ("front.p_Dx1", "front.p_Dy1", "rear.p_Dx1", "rear.p_Dy1")
+SLIPS = np.linspace(0.0, 0.6, 121)  # slip ratio, or tangent of the slip angle
 BACK = 0.5  # share of its change that a refit may take back of a number that is told
 MOST = 4  # numbers; a car that differs in more is another car
+ALONE = ("yaw_inertia", "l_f", "steering.time_constant", "drive.time_constant")  # numbers that are not the tyres'
+SLIGHT = 0.02  # share by which a refit may move such a number without being asked for
 STEPS, FULLY = 4, 5  # of a trial on a share of the windows; numbers that are fitted to all of them then
 
 
@@ -104,8 +108,22 @@ def _confirmed(gap: "_Gap", few: Numbers) -> tuple[Numbers, Numbers | None]:
             return few, None
         kept = [name for name in few.gained if gap.stays(name, few, around)]
         if len(kept) == len(few.gained):
-            return few, around
+            return few, _left_alone(gap, few, around)
         few = gap.fitted(kept, few) if kept or gap.named.effects else gap.unchanged
+
+
+def _left_alone(gap: "_Gap", few: Numbers, around: Numbers) -> Numbers:
+    """Return a refit that leaves the numbers of body and actuators which it moved, but does not know, where they were.
+
+    Not where held-out windows ask for them to move: on circles yaw inertia takes up what the tyres' formula leaves.
+    """
+    was, ranges = few.found.theta, intervals(gap.investigation, around.found)
+    moved = [name for name in ALONE if name in ranges and abs(ranges[name][0] / was[name] - 1.0) > SLIGHT]
+    held = [name for name in moved if ranges[name][1] <= was[name] <= ranges[name][2]]
+    if not held:
+        return around
+    still = gap.held_out(_refitted(gap, few, held))
+    return around if any(gap.gains(still, around, [stage]) for stage in gap.open) else still
 
 
 def _best(gap: "_Gap", few: Numbers) -> Numbers | None:
@@ -138,26 +156,47 @@ def _pruned(gap: "_Gap", few: Numbers) -> Numbers:
     return few
 
 
-def _refitted(gap: "_Gap", few: Numbers) -> FittedModel:
-    """Return a fit of all parameters, all expected where a few numbers changed have them.
+def _refitted(gap: "_Gap", few: Numbers, held: Collection[str] = ()) -> FittedModel:
+    """Return a fit of all parameters but those held, all expected where a few numbers changed have them.
 
     It starts from the refit that named, with the floor's grip as told: the same forces, for the tyres' take it back.
     """
+    theta = few.found.theta
     around = [
-        replace(unknown, start=min(max(few.found.theta[unknown.name], unknown.low), unknown.high))
+        replace(unknown, start=min(max(theta[unknown.name], unknown.low), unknown.high))
         for unknown in gap.investigation.unknowns
+        if unknown.name not in held
     ]
     data, table = replace(gap.investigation, unknowns=around), gap.named.theta
-    grip = few.found.theta[GRIP]
-    same = {GRIP: grip, **{peak: table[peak] * table[GRIP] / grip for peak in ALL_PEAKS}}
+    grip = theta[GRIP]
+    same = {
+        **{name: theta[name] for name in held},
+        GRIP: grip,
+        **{peak: table[peak] * table[GRIP] / grip for peak in ALL_PEAKS},
+    }
     vehicle = replace_values(gap.named.vehicle, same)
     return settled_fit(data, gap.named.effects, vehicle, gap.named, stages=list(gap.investigation.evidence))
 
 
-def _size(name: str, theta: Mapping[str, float]) -> float:
-    """Return a number; of the grip of the floor, which a refit gives to the tyres, what all of them get of it."""
-    shared = [theta[peak] for peak in PEAKS] if name == GRIP else [1.0]
-    return theta[name] * float(np.mean(shared))
+def _size(name: str, vehicle: Vehicle) -> float:
+    """Return a number; of grip, the largest force over the load: a refit may give it to a curve's other coefficients.
+
+    Grip of the floor is that of both axles sideways, a tyre's own is over the floor's.
+    """
+    axle, _, key = name.rpartition(".")
+    if name == GRIP:
+        return float(np.mean([_largest(vehicle, each, "y") for each in ("front", "rear")]))
+    if name in ALL_PEAKS:
+        return _largest(vehicle, axle, key[len("p_D")]) / float(vehicle.friction)
+    return float(values(vehicle)[name])
+
+
+def _largest(vehicle: Vehicle, axle: str, way: str) -> float:
+    """Return an axle's largest force over its static load in pure slip."""
+    tyre, slip = getattr(vehicle, axle), torch.as_tensor(SLIPS)
+    kappa, alpha = (slip, 0.0 * slip) if way == "x" else (0.0 * slip, slip)
+    forces = tyre.forces(kappa, alpha, float(tyre.F_z0), float(vehicle.friction), TORCH)
+    return float(forces["xy".index(way)].abs().max() / tyre.F_z0)
 
 
 @dataclass(frozen=True)
@@ -227,8 +266,8 @@ class _Gap:
 
     def stays(self, name: str, told: Numbers, refit: Numbers) -> bool:
         """Return whether a refit takes back less than half of what a number was changed by."""
-        configured = {key: float(value) for key, value in values(self.investigation.vehicle).items()}
-        was, there, now = (_size(name, theta) for theta in (configured, told.found.theta, refit.found.theta))
+        vehicles = self.investigation.vehicle, told.found.vehicle, refit.found.vehicle
+        was, there, now = (_size(name, vehicle) for vehicle in vehicles)
         return abs(now - there) < BACK * abs(there - was)
 
     def in_reach(self, numbers: Numbers) -> bool:

@@ -12,7 +12,7 @@ import torch
 
 from racerl.estimation.pseudo_huber import pseudo_huber, slope
 from racerl.estimation.unknowns import Unknown, choose_unknowns
-from racerl.gap import nominal, screening
+from racerl.gap import investigation, nominal, screening
 from racerl.gap.candidates import add, joined
 from racerl.gap.evidence import SMOOTH, Evidence
 from racerl.gap.fit_data import FitData
@@ -119,6 +119,21 @@ def test_an_unmeasured_actuator_is_where_a_command_that_never_changes_puts_it(cl
         evidence = Evidence.of([log], dataclasses.replace(CHASSIS, inputs=("delta_ref", "omega")), 40, 0.5)
         assert (evidence.trust("delta") > 1e9) == known
         assert evidence.trust("v_y") == 0.0
+
+
+def test_a_measured_actuator_that_stands_tells_nothing_of_how_fast_it_is(clean):
+    wave, noise = np.sin(clean.table["t"]), 0.002 * np.random.default_rng(0).standard_normal(len(clean.table))
+    for delta, stands in ((0.2 + noise + 0.02 * wave, False), (0.2 + noise, True)):
+        log = dataclasses.replace(clean, table=clean.table.assign(delta_ref=0.2, delta=delta))
+        evidence = Evidence.of([log], STEERING, 85, 0.5)
+        assert (evidence.trust("delta") > 1e9) == stands
+        assert (evidence.windows(["delta"], (0.0, 0.0)).initial == 0.2).all() == stands
+    vehicle, priors = configured()
+    found = investigation.investigate(
+        {"steering": evidence}, vehicle, choose_unknowns(vehicle, priors, [], vehicle), {}
+    )
+    time_constant = found.base.theta["steering.time_constant"]
+    assert time_constant == pytest.approx(vehicle.steering.time_constant, rel=1e-3)  # it followed the noise before
 
 
 def test_a_stage_that_lacks_channels_is_left_out(clean):

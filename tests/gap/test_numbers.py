@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from racerl.gap.numbers import as_configured, wrong_numbers
 from racerl.gap.sentences import numbers_told
 from racerl.report.gap_page import draw_gap
 from racerl.vehicle.load import load_vehicle
-from racerl.vehicle.parameter import values
+from racerl.vehicle.parameter import replace_values, values
 from tests.gap.conftest import configured, drive, investigate, settings_for
 
 OFF = {"friction": 0.5, "yaw_inertia": 0.19, "steering.time_constant": 0.06}
@@ -124,6 +125,39 @@ def test_a_number_that_runs_away_is_not_told(refitted, monkeypatch):
     monkeypatch.setattr(numbers_module, "REACH", 1.2)
     gained = wrong_numbers(refitted, refitted.base).gained
     assert not {"friction", "yaw_inertia", "steering.time_constant"} & set(gained)  # each is off by more than that
+
+
+def test_grip_is_what_the_tyres_give_whichever_coefficient_has_it():
+    car, size = configured()[0], numbers_module._size
+    table = values(car)
+    half = replace_values(car, {"friction": 0.5 * table["friction"]})
+    assert size("friction", half) == pytest.approx(0.5 * size("friction", car))
+    assert size("rear.p_Dy1", half) == pytest.approx(size("rear.p_Dy1", car))  # over the floor's
+    same = {name: 2.0 * table[name] for name in numbers_module.ALL_PEAKS}
+    assert size("friction", replace_values(half, same)) == pytest.approx(size("friction", car))
+    flat = replace_values(car, {"front.p_Dy1": 1.5 * table["front.p_Dy1"], "front.p_Cy1": 0.45})  # no peak in reach
+    assert size("front.p_Dy1", flat) < 1.1 * size("front.p_Dy1", car)
+    assert size("yaw_inertia", car) == table["yaw_inertia"]
+
+
+@pytest.mark.parametrize("asked_for, free", [(False, False), (True, True)])
+def test_what_a_refit_moves_but_does_not_know_stays_where_it_was(monkeypatch, asked_for, free):
+    """Unless held-out windows ask for it; what the refit knows, or hardly moved, is left to it."""
+    few = SimpleNamespace(found=SimpleNamespace(theta={"yaw_inertia": 0.12, "l_f": 0.16, "drive.time_constant": 0.04}))
+    ranges = {
+        "yaw_inertia": (0.10, 0.08, 0.13),
+        "l_f": (0.17, 0.168, 0.172),
+        "drive.time_constant": (0.0401, 0.03, 0.05),
+    }
+    held = []
+    monkeypatch.setattr(numbers_module, "intervals", lambda *_: ranges)
+    monkeypatch.setattr(numbers_module, "_refitted", lambda gap, few, names: held.extend(names) or "still")
+    gap = SimpleNamespace(
+        investigation=None, open=["chassis"], held_out=lambda found: found, gains=lambda *_: asked_for
+    )
+    around = SimpleNamespace(found=None)
+    assert (numbers_module._left_alone(gap, few, around) is around) == free
+    assert held == ["yaw_inertia"]
 
 
 def test_numbers_are_parameters_of_the_vehicle():
