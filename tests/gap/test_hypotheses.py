@@ -1,0 +1,121 @@
+"""Probabilities of what may be hidden, on rounds made up by hand, and the rule that is fitted to them."""
+
+import numpy as np
+import pytest
+
+from racerl.gap.calibration import Case, calibrate, choices
+from racerl.gap.hypotheses import (
+    CANDIDATE,
+    LEFT,
+    STOP,
+    UNLISTED,
+    Rule,
+    candidate_features,
+    choice,
+    hypotheses,
+    left_features,
+    stop_features,
+)
+from racerl.gap.sentences import why_not
+
+
+def candidate(name, errors=5.0, explained=0.9, fall=0.5, behind=0.0, leads=1.0, like=0.0):
+    row = {"name": name, "gain": errors, "error": 1.0, "explained": explained, "fall": fall}
+    return {**row, "behind": behind, "leads": leads, "like": like}
+
+
+def seen(excess, *candidates):
+    return {"held_out": {"chassis": excess}, "fit": {"chassis": excess}, "candidates": list(candidates)}
+
+
+def rule(stop=0.0, left=(-3.0, 0.0, 0.0), **weights):
+    own = np.array([weights.get(name, 0.0) for name in CANDIDATE])
+    return Rule(own, np.full(len(STOP), stop), np.array(left))
+
+
+def test_odds_are_those_of_the_weighted_features():
+    each = seen(1.0, candidate("a", explained=0.9), candidate("b", explained=0.2))
+    p = choice(each, rule(explained=2.0))
+    assert p.sum() == pytest.approx(1.0)
+    assert np.log(p[1:] / p[0]) == pytest.approx([1.8, 0.4])  # nothing is given for an end of the search
+    assert choice(seen(1.0), rule()) == pytest.approx([1.0])
+
+
+def test_a_path_multiplies_its_rounds():
+    rounds = [seen(1.0, candidate("a"), candidate("b")), seen(0.1, candidate("c"))]
+    told = {each.names: each.probability for each in hypotheses(rounds, rule())}
+    missing = 1.0 / (1.0 + np.exp(3.0))
+    assert sum(told.values()) == pytest.approx(1.0, abs=0.02)
+    # a, b and none are alike; behind a or b, c or none
+    assert told[()] == pytest.approx((1 - missing) * (1 / 3) / (1 / 3 + 3 * 1 / 6), rel=1e-6)
+    assert told["a",] == pytest.approx(told["b",]) and told["a", "c"] == pytest.approx(told["a",])
+    assert told["?", "a"] == pytest.approx(told["a",] * missing / (1 - missing))
+
+
+def test_what_is_left_is_of_no_catalogue_where_the_weights_say_so():
+    rounds = [seen(4.0, candidate("a")), seen(3.0, candidate("c", errors=0.0, explained=0.0))]
+    told = hypotheses(rounds, rule(left=(-4.0, 2.0, 0.0), explained=3.0))
+    assert UNLISTED in told[0].names
+    assert UNLISTED not in hypotheses(rounds, rule(left=(-4.0, 0.0, 0.0), explained=3.0))[0].names
+
+
+def drawn(true, number, seed):
+    """Return cases with one hidden effect, nothing or something unlisted, as a rule would have them."""
+    generator, cases = np.random.default_rng(seed), []
+    for _ in range(number):
+        excess = float(np.exp(generator.normal(-1.0, 1.0)))
+        shares = np.sort(generator.uniform(0.0, 1.0, 3))[::-1]
+        rows = [
+            candidate(name, 5.0 * share, share, share * excess, 4.0 * i, max(1.0 - 0.4 * i, 0.0))
+            for i, (name, share) in enumerate(zip("abc", shares, strict=True))
+        ]
+        each = seen(excess, *rows)
+        right = int(generator.choice(4, p=choice(each, true)))
+        unlisted = generator.uniform() < 1.0 / (1.0 + np.exp(-true.left @ left_features([each])))
+        cases.append(Case(frozenset("abc"[right - 1 : right]) if right else frozenset(), bool(unlisted), [each]))
+    return cases
+
+
+def test_a_rule_is_found_again_from_what_it_led_to():
+    true = rule(stop=1.0, left=(-3.0, 1.0, 0.5), constant=-1.0, errors=1.0, explained=2.0, fall=0.5, behind=-0.3)
+    found = calibrate(drawn(true, 500, seed=0))
+    fresh = drawn(true, 300, seed=1)
+    for known in (lambda r, case: choice(case.rounds[0], r), lambda r, case: [r.left @ left_features(case.rounds)]):
+        wanted, had = (np.concatenate([known(r, case) for case in fresh]) for r in (true, found))
+        assert np.corrcoef(wanted, had)[0, 1] > 0.97
+    p = np.array([choice(case.rounds[0], found) for case in fresh])
+    right = np.array([[not case.hidden, *(name in case.hidden for name in "abc")] for case in fresh])
+    for low, high in ((0.0, 0.2), (0.2, 0.5), (0.5, 1.0)):  # as often right as it says
+        inside = (p >= low) & (p < high)
+        assert right[inside].mean() == pytest.approx(p[inside].mean(), abs=0.08)
+
+
+def test_rounds_behind_a_wrong_addition_teach_nothing():
+    rounds = [seen(1.0, candidate("wrong"), candidate("a")), seen(0.5, candidate("a"))]
+    only = list(choices(Case(frozenset("a"), False, rounds)))
+    assert len(only) == 1 and only[0].right.tolist() == [False, False, True]
+    both = list(choices(Case(frozenset({"wrong", "a"}), False, rounds)))
+    assert [each.right.tolist() for each in both] == [[False, True, True], [False, True]]
+    lost = list(choices(Case(frozenset({"elsewhere"}), False, rounds)))
+    assert lost[0].right.tolist() == [True, False, False]  # none of these
+
+
+def test_features_are_finite_whatever_a_round_saw():
+    row = {**candidate("a", errors=-1.0, explained=-3.0, fall=-0.1, behind=50.0, leads=0.0), "error": 0.0}
+    for each in (seen(-0.1, row), seen(0.0)):
+        assert np.isfinite(candidate_features(each)).all() and np.isfinite(stop_features(each)).all()
+        assert np.isfinite(left_features([each])).all() and left_features([each]).shape == (len(LEFT),)
+
+
+def test_weights_come_back_from_their_table():
+    true = rule(stop=1.0, errors=0.5)
+    again = Rule.of(true.weights())
+    assert all((a == b).all() for a, b in zip(true, again, strict=True))
+
+
+def test_why_a_runner_up_lost_is_told():
+    ranking = [{"name": n, "explained": e, "behind": b} for n, e, b in (("a", 0.9, 0.0), ("b_c", 0.6, 3.4))]
+    facts = {"ranking": ranking, "hypotheses": [{"names": ["a"]}, {"names": ["b_c"]}, {"names": []}, {"names": ["?"]}]}
+    first, second, *others = (why_not(facts, each) for each in facts["hypotheses"])
+    assert second == "explains 60% of the excess, a 90%; 3.4 standard errors behind on held-out windows"
+    assert first == "" and others == ["", ""]
