@@ -28,6 +28,7 @@ BINS = 6  # of equal counts; the outer ones hold the tails, too
 TAIL = 0.01
 ROLLS = 400
 RATE = 0.05  # of false discoveries
+ROUNDING = 1e-9  # of a spread
 REACH = 0.3  # s, of the cross-correlation
 STEPS = 8  # most of a fit of initial states alone
 CLUES = 8  # of maps, in the verdict
@@ -121,15 +122,20 @@ def maps(investigation: Investigation, errors: Mapping[str, Array]) -> list[dict
 
 
 def _test(power: Array, bins: NDArray[np.int64], shifts: NDArray[np.int64]) -> tuple[Array, float]:
-    """Return the mean power per bin, and the share of rolls that part the bins as much."""
+    """Return the mean power per bin, and the share of rolls that part the bins as much.
+
+    The sums of a bin under all rolls are a circular correlation, Σ_j power_j 1(bin_{j + shift}).
+    """
     count = np.maximum(np.bincount(bins, minlength=BINS), 1)
+    inside = (bins == np.arange(BINS)[:, None]).astype(float)
+    sums = np.fft.irfft(np.fft.rfft(inside) * np.conj(np.fft.rfft(power)), len(bins))
 
-    def spread(power: Array) -> tuple[Array, float]:
-        level = np.bincount(bins, power, minlength=BINS) / count
-        return level, float((count * (level - power.mean()) ** 2).sum())
+    def spread(level: Array) -> Array:
+        return (count[:, None] * (level - power.mean()) ** 2).sum(axis=0)
 
-    level, ours = spread(power)
-    others = sum(spread(np.roll(power, int(shift)))[1] >= ours for shift in shifts)
+    level = np.bincount(bins, power, minlength=BINS) / count
+    ours = spread(level[:, None])[0]
+    others = int((spread(sums[:, shifts] / count[:, None]) >= ours * (1.0 - ROUNDING)).sum())
     return level, (1.0 + others) / (1.0 + len(shifts))
 
 

@@ -19,7 +19,7 @@ from racerl.gap.diagnose import _untestable, gap, next_manoeuvre
 from racerl.gap.elimination import _idle, _nowhere, eliminated
 from racerl.gap.evidence import Evidence, contradictory
 from racerl.gap.growth import growth, places
-from racerl.gap.locate import _test
+from racerl.gap.locate import BINS, _test
 from racerl.gap.plan import plan, telling
 from racerl.gap.prove import explained
 from racerl.gap.score import Score
@@ -407,6 +407,22 @@ def test_a_gain_that_is_noise_passed_on_no_longer_is_none(monkeypatch, noise, co
     decision = SimpleNamespace(cost={"chassis": np.full(10, cost)}, noise={"chassis": 1000.0})
     best = SimpleNamespace(found=None, gain=55.0, error=5.0)
     assert passes_less_noise(judge, decision, best) == less
+
+
+def test_rolls_are_counted_as_if_each_was_carried_out():
+    generator = np.random.default_rng(0)
+    for dependent in (0.0, 0.5, 3.0):
+        bins = np.repeat(generator.integers(BINS, size=60), 5)
+        power = generator.exponential(size=300) + dependent * (bins == 2)
+        shifts = generator.integers(300, size=200)
+
+        def spread(power, bins=bins):
+            means = [power[bins == b].mean() for b in range(BINS)]
+            return sum((bins == b).sum() * (m - power.mean()) ** 2 for b, m in enumerate(means))
+
+        expected = (1 + sum(spread(np.roll(power, s)) >= spread(power) * (1 - 1e-9) for s in shifts)) / 201
+        level, p = _test(power, bins, shifts)
+        assert p == pytest.approx(expected) and level[2] == pytest.approx(power[bins == 2].mean())
 
 
 def test_a_rear_driven_split_is_no_idle_effect():
