@@ -1,6 +1,7 @@
 """racerl gap from a log to a verdict, a vehicle and a page; and what its steps are made of."""
 
 import dataclasses
+import itertools
 import shutil
 from types import SimpleNamespace
 
@@ -102,6 +103,30 @@ def test_the_page_shows_verdict_and_pictures(diagnosis):
     assert "yaw_damping" in page and page.count("</figure>") in (4, 5)
     with pytest.raises(RunError, match="choose another out="):
         gap(diagnosis.settings, diagnosis.out)
+
+
+@needs_compiler
+def test_the_worst_stretch_and_the_path_are_those_of_the_log(diagnosis, damped):
+    proof = read_json(diagnosis.out / "prove.json")
+    stretch, path, table = proof["stretch"], proof["path"], damped.table
+    assert stretch["stage"] == "chassis" and 1 <= len(stretch["windows"]) <= 4  # there the damping is
+    times = [window["t"] for window in stretch["windows"]]
+    assert all(a[-1] == pytest.approx(b[0]) for a, b in itertools.pairwise(times))  # side by side
+    errors = {"before": [], "after": []}
+    for window in stretch["windows"]:
+        rows = np.searchsorted(table["t"] - table["t"][0], np.array(window["t"]) - 1e-6)
+        for c, channel in enumerate(stretch["channels"]):
+            shown = np.unwrap(table[channel]) if channel == "yaw" else table[channel].to_numpy()
+            assert window["measured"][c] == pytest.approx(shown[rows])
+            for kind, found in errors.items():
+                found.append(np.mean((np.subtract(window[kind][c], window["measured"][c]) / stretch["noise"][c]) ** 2))
+    assert np.mean(errors["before"]) > 1.5 * np.mean(errors["after"])
+    windows = diagnosis.facts["gap"]["before"], diagnosis.facts["gap"]["after"]
+    for kind, told in zip(("before", "after"), windows, strict=True):
+        assert np.sqrt(np.mean([row[kind] ** 2 for row in path])) == pytest.approx(told, rel=0.5)
+    assert max(row["before"] for row in path) > 1.5 * np.median([row["before"] for row in path])
+    ends = [(row["x"][-1], row["y"][-1]) for row in path[:1]] + [(path[1]["x"][0], path[1]["y"][0])]
+    assert ends[0] == pytest.approx(ends[1], abs=2e-3)  # windows follow each other
 
 
 def _learned(car, log):
