@@ -15,9 +15,10 @@ from statistics import median
 from typing import Any
 
 from racerl.bench import Compose, Progress
-from racerl.documents import read_json
+from racerl.documents import read_json, write_json
 from racerl.errors import ConfigError
-from racerl.gap.diagnose import VERDICT, gap
+from racerl.gap.calibration import Case, calibrate, checked
+from racerl.gap.diagnose import NAME, VERDICT, gap
 from racerl.run import MANIFEST, is_complete
 from racerl.vehicle.catalogue import confused_with, names
 
@@ -34,6 +35,7 @@ class Gap:
     vehicle: str
     most: int
     withhold: bool
+    calibration: str
 
     def measure(self, compose: Compose, threads: int, on_progress: Progress) -> dict[str, Any]:
         """Return scores with 95 % intervals, the confusion matrix, and every case's outcome."""
@@ -45,7 +47,7 @@ class Gap:
         keys = read_json(folder / "keys.json")
         asked = {case for case, key in keys.items() if not self.withhold or _known(key)}
         logs = [path for path in sorted((folder / "logs").glob("*.parquet")) if path.stem in asked][: self.most]
-        rows = []
+        rows, cases, groups = [], [], []
         for i, log in enumerate(logs):
             on_progress(i / len(logs), f"case {i + 1} of {len(logs)}")
             key, out = keys[log.stem], Path(self.work) / log.stem
@@ -54,6 +56,11 @@ class Gap:
                 key, out = {**key, "set": WITHHELD}, out.with_name(f"{out.name}_{WITHHELD}")
                 words.append(f"without={[effect['name'] for effect in key['effects']]}")
             rows.append(outcome(log.stem, key, *_diagnosis(compose("gap", words), out)))
+            if (out / NAME).is_file():
+                cases.append(_case(key, read_json(out / NAME)["rounds"]))
+                groups.append(f"{key.get('tyre')}, {key.get('slip')}")
+        if self.calibration:
+            write_json(Path(self.calibration), calibration(cases, groups))
         return {
             "gap": {
                 "cases": rows,
@@ -63,6 +70,20 @@ class Gap:
                 "confusion": confusion(rows),
             }
         }
+
+
+def _case(key: dict[str, Any], rounds: list[dict[str, Any]]) -> Case:
+    hidden = frozenset(effect["name"] for effect in key["effects"])
+    return Case(hidden & set(names()), not hidden <= set(names()), rounds)
+
+
+def calibration(cases: Sequence[Case], groups: Sequence[str]) -> dict[str, Any]:
+    """Return the weights of a rule fitted to some cases, and how rules fitted to all but a group fare on that group."""
+    return {
+        "cases": dict(sorted(Counter(groups).items())),
+        "weights": calibrate(cases).weights(),
+        "left_out_groups": checked(cases, groups)._asdict(),
+    }
 
 
 def _known(key: dict[str, Any]) -> bool:

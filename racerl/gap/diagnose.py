@@ -23,6 +23,7 @@ from racerl.gap.checkpoint import Checkpoint
 from racerl.gap.decision import Decision
 from racerl.gap.evidence import COMMANDS, Evidence, channels_of
 from racerl.gap.fitted_model import COG, FittedModel
+from racerl.gap.hypotheses import calibrated, hypotheses
 from racerl.gap.investigation import Investigation, investigate
 from racerl.gap.locate import locate
 from racerl.gap.naming import name_effects
@@ -205,6 +206,10 @@ def _steps(
         "effects": told_effects["effects"] if verdict.kind in CLAIMS else [],
         "helped": told_effects["effects"] if verdict.kind not in CLAIMS else [],
         "ambiguous_with": list(verdict.rivals),
+        "hypotheses": [
+            {"names": list(each.names), "probability": each.probability}
+            for each in hypotheses(decision.features, calibrated())
+        ],
         "next_manoeuvre": next_manoeuvre(verdict, missing if _one(decision, verdict) else ()),
         "ranking": told_effects["ranking"],
         "where": located["where"],
@@ -305,6 +310,7 @@ def _silent(logs: Sequence[Log]) -> dict[str, Any]:
         "effects": [],
         "helped": [],
         "ambiguous_with": [],
+        "hypotheses": [],
         "next_manoeuvre": PROGRAMME,
         "ranking": [],
         "where": [],

@@ -57,6 +57,20 @@ def numbers_told(configured: Mapping[str, Any]) -> list[str]:
     return lines
 
 
+def why_not(facts: Mapping[str, Any], hypothesis: Mapping[str, Any]) -> str:
+    """Return why a hypothesis of one effect is not the first: what it lacks against the best candidate."""
+    names, rows = hypothesis["names"], {row["name"]: row for row in facts["ranking"]}
+    if hypothesis is facts["hypotheses"][0] or len(names) != 1 or names[0] not in rows:
+        return ""
+    best, row = facts["ranking"][0], rows[names[0]]
+    if row is best:
+        return ""
+    explained = (
+        f"explains {row['explained']:.0%} of the excess, {best['name'].replace('_', ' ')} {best['explained']:.0%}"
+    )
+    return f"{explained}; {row['behind']:.1f} standard errors behind on held-out windows"
+
+
 def in_words(effect: str) -> str:
     """Return what a car with an effect does, as a clause; the first line of its docstring where that is not told."""
     entry = catalogue.entry(effect)

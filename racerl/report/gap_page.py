@@ -1,5 +1,6 @@
 """The page about a gap: verdict, pictures and proof; drawn from the files of its run folder alone."""
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ from racerl.data.log import CHANNELS
 from racerl.documents import read_json, read_yaml
 from racerl.errors import DocumentError, RunError
 from racerl.gap.diagnose import LOCATE, PROOF, VERDICT
-from racerl.gap.sentences import PLAIN, headline, opening
+from racerl.gap.sentences import PLAIN, headline, opening, why_not
 from racerl.report.figures import gap_actuators, gap_channels, gap_maps, gap_path, gap_ranking, gap_stretch
 from racerl.report.page import figure, provenance, write_page
 from racerl.run import CONFIG, RunFolder
@@ -31,6 +32,7 @@ def draw_gap(run: Path) -> Path:
             "gap_page.html.j2",
             headline=headline(facts),
             opening=opening(facts),
+            why_not=partial(why_not, facts),
             facts=facts,
             proof=proof,
             located=located,

@@ -2,7 +2,20 @@
 
 import pytest
 
-from racerl.bench.gap import by_verdict, confusion, detection, honest, outcome, right, scores, share, wrong_name
+from racerl.bench.gap import (
+    _case,
+    by_verdict,
+    calibration,
+    confusion,
+    detection,
+    honest,
+    outcome,
+    right,
+    scores,
+    share,
+    wrong_name,
+)
+from racerl.gap.hypotheses import Rule, hypotheses
 
 
 def case(truth, verdict, found=(), rivals=(), kind="single", size="medium", programme="excitation", tells=("a",)):
@@ -90,3 +103,18 @@ def test_wilson_intervals():
     assert row["ci95"] == pytest.approx([50 / (50 + 1.96**2), 1.0])
     half = share(5, 10)
     assert half["ci95"][0] == pytest.approx(0.2366, abs=1e-4) and sum(half["ci95"]) == pytest.approx(1.0)
+
+
+def test_a_rule_is_fitted_to_what_the_rounds_of_cases_saw():
+    row = {"name": "yaw_damping", "gain": 9.0, "error": 1.0, "explained": 0.9, "fall": 0.5}
+    row |= {"behind": 0.0, "leads": 1.0, "like": 0.0}
+    left = {"held_out": {"chassis": 0.01}, "fit": {"chassis": 0.01}, "candidates": []}
+    seen = [{"held_out": {"chassis": 0.6}, "fit": {"chassis": 0.6}, "candidates": [row]}, left]
+    hides = [_case({"effects": [{"name": "yaw_damping"}]}, seen), _case({"effects": []}, [left])]
+    assert [case.hidden for case in hides] == [{"yaw_damping"}, set()] and not hides[0].unlisted
+    assert _case({"effects": [{"name": "fluttering_tyre"}]}, [left]).unlisted
+    table = calibration(hides * 6, ["brush, centre", "dugoff, larger"] * 6)
+    assert table["cases"] == {"brush, centre": 6, "dugoff, larger": 6}
+    assert hypotheses(seen, Rule.of(table["weights"]))[0].names == ("yaw_damping",)
+    assert hypotheses([left], Rule.of(table["weights"]))[0].names == ()
+    assert table["left_out_groups"]["cases"] == 12

@@ -3,17 +3,19 @@
 import numpy as np
 import pytest
 
-from racerl.gap.calibration import Case, calibrate, choices
+from racerl.gap.calibration import Case, calibrate, checked, choices
 from racerl.gap.hypotheses import (
     CANDIDATE,
     LEFT,
     STOP,
     UNLISTED,
+    Hypothesis,
     Rule,
     candidate_features,
     choice,
     hypotheses,
     left_features,
+    reaching,
     stop_features,
 )
 from racerl.gap.sentences import why_not
@@ -88,6 +90,18 @@ def test_a_rule_is_found_again_from_what_it_led_to():
     for low, high in ((0.0, 0.2), (0.2, 0.5), (0.5, 1.0)):  # as often right as it says
         inside = (p >= low) & (p < high)
         assert right[inside].mean() == pytest.approx(p[inside].mean(), abs=0.08)
+
+
+def test_sets_reach_their_level_and_groups_are_judged_by_rules_of_others():
+    told = [Hypothesis((name,), p) for name, p in (("a", 0.9), ("b", 0.06), ("c", 0.04))]
+    assert [len(reaching(told, level)) for level in (0.5, 0.9, 0.95, 0.999)] == [1, 1, 2, 3]
+    true = rule(stop=2.0, left=(-4.0, 0.0, 0.0), constant=-1.0, errors=1.0, explained=2.0, fall=1.5, behind=-0.6)
+    found = checked(drawn(true, 300, seed=0), ["one", "two", "three"] * 100)
+    assert found.cases == 300 and 0.9 < found.covered <= 1.0 and found.error < 0.06
+    assert 1.0 <= found.size <= 4.0 and found.first > 0.5
+    lost = [Case(case.hidden, not case.unlisted, case.rounds) for case in drawn(true, 60, seed=1)]
+    mixed = checked([*drawn(true, 60, seed=0), *lost], ["right"] * 60 + ["wrong"] * 60)
+    assert mixed.covered < 0.6  # what no other group had shown
 
 
 def test_rounds_behind_a_wrong_addition_teach_nothing():

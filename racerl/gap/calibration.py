@@ -1,0 +1,126 @@
+"""Fitting the rule of `hypotheses` to diagnoses of simulated cars whose effects are known."""
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from racerl.gap.hypotheses import (
+    CANDIDATE,
+    LEFT,
+    STOP,
+    UNLISTED,
+    Round,
+    Rule,
+    candidate_features,
+    hypotheses,
+    left_features,
+    reaching,
+    stop_features,
+)
+
+Array = NDArray[np.float64]
+WIDE = 3.0  # deviation of the weights' priors
+LEVEL, BINS = 0.95, 5  # of the sets of hypotheses; of probabilities
+
+
+class Case(NamedTuple):
+    """A diagnosis: what was hidden, that of the catalogue by name, and what every round of naming saw."""
+
+    hidden: frozenset[str]
+    unlisted: bool
+    rounds: Sequence[Round]
+
+
+class Check(NamedTuple):
+    """How a rule fares on cases that it was not fitted to.
+
+    `covered`: share of cases whose truth is in the set of hypotheses that reach LEVEL; `size`: how many it has in the
+    mean; `first`: share whose truth is the most probable; `error`: mean difference between the first's probability and
+    how often it is right, over bins of probability, weighted by their cases.
+    """
+
+    cases: int
+    covered: float
+    size: float
+    first: float
+    error: float
+
+
+class Choice(NamedTuple):
+    """A round: features of none and of each candidate, and which of these, none first, is right (1 + N,)."""
+
+    stop: Array
+    candidates: Array
+    right: NDArray[np.bool_]
+
+
+def calibrate(cases: Sequence[Case]) -> Rule:
+    """Return the rule under which what was hidden is most likely, with weak priors around zero.
+
+    Rounds count as far as what was added before them was hidden.
+    """
+    rounds = [choice for case in cases for choice in choices(case)]
+    split = len(CANDIDATE)
+
+    def chosen(w: Array) -> float:
+        loss = 0.0
+        for each in rounds:
+            odds = np.concatenate([[w[split:] @ each.stop], each.candidates @ w[:split]])
+            loss -= np.logaddexp.reduce(odds[each.right]) - np.logaddexp.reduce(odds)
+        return loss
+
+    ended = [(left_features(case.rounds), case.unlisted) for case in cases]
+
+    def left(w: Array) -> float:
+        odds = np.array([z @ w for z, _ in ended])
+        signs = np.array([1.0 if missed else -1.0 for _, missed in ended])
+        return float(np.logaddexp(0.0, -signs * odds).sum())
+
+    w, u = (_least(loss, size) for loss, size in ((chosen, split + len(STOP)), (left, len(LEFT))))
+    return Rule(w[:split], w[split:], u)
+
+
+def checked(cases: Sequence[Case], groups: Sequence[str]) -> Check:
+    """Fit to all groups of cases but one, and check the rule on that one, for each group."""
+    covered, size, first, p = [], [], [], []
+    for group in sorted(set(groups)):
+        rule = calibrate([case for case, own in zip(cases, groups, strict=True) if own != group])
+        for case in (case for case, own in zip(cases, groups, strict=True) if own == group):
+            told = hypotheses(case.rounds, rule)
+            among = reaching(told, LEVEL)
+            truth = truth_of(case)
+            covered.append(truth in [each.names for each in among])
+            size.append(len(among))
+            first.append(told[0].names == truth)
+            p.append(told[0].probability)
+    bins = np.minimum((np.array(p) * BINS).astype(int), BINS - 1)
+    away = [abs(float(np.sum(np.array(first)[bins == b] - np.array(p)[bins == b]))) for b in range(BINS)]
+    mean_covered, mean_size, mean_first = (float(np.mean(each)) for each in (covered, size, first))
+    return Check(len(p), mean_covered, mean_size, mean_first, sum(away) / len(p))
+
+
+def truth_of(case: Case) -> tuple[str, ...]:
+    """Return what was hidden as a hypothesis has it."""
+    return tuple(sorted([*case.hidden, *([UNLISTED] if case.unlisted else [])]))
+
+
+def choices(case: Case) -> Iterator[Choice]:
+    """Yield the rounds of a case up to the first that added what was not hidden."""
+    added: set[str] = set()
+    for each in case.rounds:
+        names = [row["name"] for row in each["candidates"]]
+        right = np.array([False, *(name in case.hidden - added for name in names)])
+        right[0] = not right.any()  # none of these
+        yield Choice(stop_features(each), candidate_features(each), right)
+        if not names or names[0] not in case.hidden:
+            return
+        added.add(names[0])
+
+
+def _least(loss: Callable[[Array], float], size: int) -> Array:
+    found = minimize(lambda w: loss(w) + 0.5 * float(w @ w) / WIDE**2, np.zeros(size), method="BFGS")
+    weights: Array = found.x
+    return weights
