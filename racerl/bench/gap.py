@@ -56,7 +56,7 @@ class Gap:
                 key, out = {**key, "set": WITHHELD}, out.with_name(f"{out.name}_{WITHHELD}")
                 words.append(f"without={[effect['name'] for effect in key['effects']]}")
             rows.append(outcome(log.stem, key, *_diagnosis(compose("gap", words), out)))
-            if (out / NAME).is_file():
+            if self.calibration and (out / NAME).is_file():
                 cases.append(_case(key, read_json(out / NAME)["rounds"]))
                 groups.append(f"{key.get('tyre')}, {key.get('slip')}")
         if self.calibration:

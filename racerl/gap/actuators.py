@@ -7,10 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import siegelslopes
 
-from racerl.gap.evidence import Evidence
+from racerl.gap.evidence import INSTEAD, Evidence
 
 Array = NDArray[np.float64]
-ACTUATORS = {"steering": ("delta_ref", "delta"), "drive": ("omega_ref", "omega")}
 HOLD, CALM = 0.3, 0.01  # s for which a command has to stand, and share of its range by which it may move meanwhile
 FEWEST, MOST = 20, 600  # settled samples, below which nothing is said, and that are kept at most
 LONGEST = 0.5  # s, of a lag
@@ -23,9 +22,10 @@ def actuators(evidence: Mapping[str, Evidence]) -> dict[str, dict[str, Any]]:
     follows that best; `most`: the largest command and response in size; `command`, `response`: settled samples.
     """
     found = {}
-    for name, (asked, shown) in ACTUATORS.items():
-        part = evidence.get(name)
-        if part is None or not {asked, shown} <= set(part.columns):
+    for name, part in evidence.items():
+        shown = part.stage.outputs[0]
+        asked = INSTEAD.get(shown)  # none but an actuator has a command
+        if asked is None or not {asked, shown} <= set(part.columns):
             continue
         command, response = part.columns[asked], part.columns[shown]
         rows = _settled(part, command)

@@ -215,7 +215,7 @@ class Evidence:
         """Return the standard deviation of some channels' noise."""
         for name in names:
             if name not in self._deviations:
-                self._deviations[name] = self._deviation(self.columns[name])
+                self._deviations[name] = self._noise_in(self.columns[name])
         return np.array([self._deviations[name] for name in names])
 
     @cached_property
@@ -223,7 +223,7 @@ class Evidence:
         """The noise of channels as far as it was asked for."""
         return {}
 
-    def _deviation(self, column: Array) -> float:
+    def _noise_in(self, column: Array) -> float:
         begins = np.unique(self.first)
         sizes = self.last[begins] + 1 - begins
         squares = [_spread(column[b : b + n]) ** 2 for b, n in zip(begins, sizes, strict=True)]

@@ -22,8 +22,6 @@ def features(judge: Judge, standing: Standing, rows: Sequence[CandidateScore]) -
     return {
         "held_out": over_noise(standing.cost),
         "fit": over_noise(fit),
-        "chance": dict(investigation.chance),
-        "filtered": {stage: part.filtered for stage, part in investigation.evidence.items()},
         "candidates": [
             {
                 "name": row.name,
@@ -35,23 +33,16 @@ def features(judge: Judge, standing: Standing, rows: Sequence[CandidateScore]) -
                 "worth": row.worth,
                 "fall": row.fall,
                 "like": row.like,
-                "values": {unknown.name: row.found.theta[unknown.name] for unknown in _own(row)},
-                "at_bound": [
-                    unknown.name for unknown in _own(row) if _at_bound(unknown, row.found.theta[unknown.name])
-                ],
+                "values": {name: row.found.theta[name] for name in row.own},
+                "at_bound": [u.name for u in row.found.problem.unknowns if u.name in row.own and _at_bound(row, u)],
                 "stages": touched(investigation, row.found.vehicle, [row.name]),
                 "held_out": over_noise(row.cost),
-                "fit": over_noise({stage: row.found.cost[stage] for stage in row.cost if stage in row.found.cost}),
+                "fit": over_noise(row.found.cost),
             }
             for row in rows
         ],
     }
 
 
-def _own(row: CandidateScore) -> list[Unknown]:
-    """Return the effect's own parameters."""
-    return [unknown for unknown in row.found.problem.unknowns if unknown.name.startswith(f"effects.{row.name}.")]
-
-
-def _at_bound(unknown: Unknown, value: float) -> bool:
-    return not unknown.low < value < unknown.high
+def _at_bound(row: CandidateScore, unknown: Unknown) -> bool:
+    return row.found.theta[unknown.name] in (unknown.low, unknown.high)

@@ -70,10 +70,10 @@ def hypotheses(rounds: Sequence[Round], rule: Rule) -> list[Hypothesis]:
     found: list[Hypothesis] = []
     added: tuple[str, ...] = ()
     reached, unlisted = 1.0, _unlisted(rounds, rule)
-    for each, later in zip(rounds, [*rounds[1:], None], strict=True):
-        none, *chances = choice(each, rule)
+    chosen = [choice(each, rule).tolist() for each in rounds]
+    for each, (none, *chances), later in zip(rounds, chosen, [*chosen[1:], None], strict=True):
         found.append(Hypothesis(added, reached * none))
-        then = 1.0 if later is None else float(choice(later, rule)[0])
+        then = 1.0 if later is None else later[0]
         others = each["candidates"] if later is None else each["candidates"][1:]
         for row, chance in zip(others, chances[len(chances) - len(others) :], strict=True):
             found.append(Hypothesis((*added, row["name"]), reached * chance * then))

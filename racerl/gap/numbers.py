@@ -11,7 +11,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from racerl.estimation.unknowns import Unknown
@@ -24,7 +23,7 @@ from racerl.gap.fitted_model import COG, LONGEST, FittedModel, fit_model, settle
 from racerl.gap.investigation import Investigation
 from racerl.gap.progress import OnProgress, silent
 from racerl.gap.uncertainty import intervals
-from racerl.vehicle.ops import TORCH
+from racerl.identify.tyres import forces
 from racerl.vehicle.parameter import replace_values, specifications, values
 from racerl.vehicle.vehicle import Vehicle
 
@@ -33,7 +32,6 @@ GRIP = "friction"
 SPREAD = 0.5  # deviation of a number's prior, as a share of it: no more than a restraint
 REACH = 2.5  # times what was configured, or its inverse: what runs further is something else in disguise
 ALL_PEAKS = ("front.p_Dx1", "front.p_Dy1", "rear.p_Dx1", "rear.p_Dy1")
-SLIPS = np.linspace(0.0, 0.6, 121)  # slip ratio, or tangent of the slip angle
 BACK = 0.5  # share of its change that a refit may take back of a number that is told
 MOST = 4  # numbers; a car that differs in more is another car
 ALONE = ("yaw_inertia", "l_f", "steering.time_constant", "drive.time_constant")  # numbers that are not the tyres'
@@ -183,20 +181,13 @@ def _size(name: str, vehicle: Vehicle) -> float:
 
     Grip of the floor is that of both axles sideways, a tyre's own is over the floor's.
     """
-    axle, _, key = name.rpartition(".")
+    largest = {key: float(np.abs(curve).max()) for key, curve in forces(vehicle).items()}
     if name == GRIP:
-        return float(np.mean([_largest(vehicle, each, "y") for each in ("front", "rear")]))
+        return 0.5 * (largest["front", "y"] + largest["rear", "y"])
     if name in ALL_PEAKS:
-        return _largest(vehicle, axle, key[len("p_D")]) / float(vehicle.friction)
+        axle, _, key = name.rpartition(".")
+        return largest[axle, key[len("p_D")]] / float(vehicle.friction)
     return float(values(vehicle)[name])
-
-
-def _largest(vehicle: Vehicle, axle: str, way: str) -> float:
-    """Return an axle's largest force over its static load in pure slip."""
-    tyre, slip = getattr(vehicle, axle), torch.as_tensor(SLIPS)
-    kappa, alpha = (slip, 0.0 * slip) if way == "x" else (0.0 * slip, slip)
-    forces = tyre.forces(kappa, alpha, float(tyre.F_z0), float(vehicle.friction), TORCH)
-    return float(forces["xy".index(way)].abs().max() / tyre.F_z0)
 
 
 @dataclass(frozen=True)

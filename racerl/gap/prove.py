@@ -43,8 +43,8 @@ def prove(investigation: Investigation, found: FittedModel) -> dict[str, Any]:
         "by_horizon": _by_horizon(investigation, calm[1], calm[2], tame),
         "worse": [name for name, row in gap["by_channel"].items() if row["after"] > WORSE * row["before"]],
         "maps": {"before": maps(investigation, base), "after": maps(investigation, after)},
-        "stretch": _stretch(investigation, base, after, tame, powers[1]),
-        "path": _path(investigation, powers[1]["chassis"], powers[2]["chassis"]) if "chassis" in base else [],
+        "stretch": _stretch(investigation, base, after, tame, powers[1], powers[3]),
+        "path": _path(investigation, *(power["chassis"] for power in powers[1:])) if "chassis" in base else [],
     }
 
 
@@ -54,13 +54,13 @@ def _stretch(
     after: Mapping[str, Array],
     tame: Mapping[str, NDArray[np.bool_]],
     power: Mapping[str, Array],
+    floor: Mapping[str, Array],
 ) -> dict[str, Any]:
     """Return the windows side by side that the refitted vehicle misses most, in the stage with the largest gap.
 
     Every window has `t` (T + 1) in s, and `measured`, `before`, `after` (C, T + 1).
     """
-    floor = {name: _power(investigation, investigation.noise_errors)[name][tame[name]].sum() for name in power}
-    stage = max(power, key=lambda name: power[name][tame[name]].sum() / floor[name])
+    stage = max(power, key=lambda name: power[name][tame[name]].sum() / floor[name][tame[name]].sum())
     evidence, own = investigation.evidence[stage], np.where(tame[stage], power[stage], 0.0)
     first = _worst(evidence, own)
     shown = [w for w in range(first, min(first + STRETCH, len(own))) if evidence.run[w] == evidence.run[first]]
@@ -93,13 +93,13 @@ def _worst(evidence: Evidence, power: Array) -> int:
     return int(sums.argmax())
 
 
-def _path(investigation: Investigation, before: Array, after: Array) -> list[dict[str, Any]]:
+def _path(investigation: Investigation, before: Array, after: Array, floor: Array) -> list[dict[str, Any]]:
     """Return where every window was driven, and its error over the noise's; nothing without poses."""
     evidence = investigation.evidence["chassis"]
     if not {"x", "y"} <= set(evidence.columns):
         return []
     rows = evidence.start[:, None] + np.append(np.arange(0, evidence.length, STEP), evidence.length)
-    unit = float(_power(investigation, investigation.noise_errors)["chassis"].mean())
+    unit = float(floor.mean())
     return [
         {
             "x": evidence.columns["x"][rows[w]].round(3).tolist(),

@@ -17,13 +17,13 @@ def headline(facts: Mapping[str, Any]) -> str:
     names, rivals = [effect["name"] for effect in facts["effects"]], facts["ambiguous_with"]
     said = [f"{row['what']}: {_change(row)} than configured" for row in facts["configured"]["changes"]]
     if names:
-        said.append(_listed([in_words(name) for name in names]))
+        said.append(listed([in_words(name) for name in names], ", and "))
     elif facts["verdict"] in NOTHING:
         said.append(NOTHING[facts["verdict"]])
     elif not said:
         said.append(f"nothing is missing: {facts['reason']}")
     if rivals:
-        said.append(f"or {_listed([in_words(name) for name in rivals], 'or')}")
+        said.append(f"or {listed([in_words(name) for name in rivals], ', or ')}")
     return _capital("; ".join(said))
 
 
@@ -32,7 +32,7 @@ def opening(facts: Mapping[str, Any]) -> list[str]:
     lines = numbers_told(facts["configured"])
     lines += [_effect(effect) for effect in facts["effects"]]
     if rivals := facts["ambiguous_with"]:
-        rather = _listed([f"{in_words(name)} ({name.replace('_', ' ')})" for name in rivals], "or")
+        rather = listed([f"{in_words(name)} ({name.replace('_', ' ')})" for name in rivals], ", or ")
         lines.append(f"or, which this log cannot tell from that: {rather}")
     if not facts["effects"] and (facts["verdict"] in NOTHING or not lines):
         lines.append(NOTHING.get(facts["verdict"], f"nothing is missing: {facts['reason']}"))
@@ -94,8 +94,9 @@ def _change(row: Mapping[str, Any]) -> str:
     return f"{abs(row['to'] / row['from'] - 1.0):.0%} {'less' if row['to'] < row['from'] else 'more'}"
 
 
-def _listed(clauses: Sequence[str], word: str = "and") -> str:
-    return f", {word} ".join([*([", ".join(clauses[:-1])] if len(clauses) > 1 else []), *clauses[-1:]])
+def listed(parts: Sequence[str], last: str = " and ") -> str:
+    """Return parts as they stand in a sentence: a, b and c; `last` stands before the last one."""
+    return last.join([*([", ".join(parts[:-1])] if len(parts) > 1 else []), *parts[-1:]])
 
 
 def _capital(text: str) -> str:

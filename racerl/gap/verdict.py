@@ -21,6 +21,7 @@ from racerl.gap.decision import Decision
 from racerl.gap.fitted_model import touched
 from racerl.gap.investigation import Investigation
 from racerl.gap.score import Score
+from racerl.gap.sentences import listed
 
 # excess over the noise's cost that clean cars of other formulas leave of the refit: up to 12 % of two on Dugoff tyres
 FOREIGN = 0.15
@@ -83,13 +84,8 @@ def judge(investigation: Investigation, decision: Decision) -> Verdict:
     if had < REAL * sum(decision.noise[stage] for stage in moved):
         explained += ", which is no larger than the noise is known"
     if rivals:
-        return Verdict("ambiguous", effects, rivals, blind, f"{explained}; so does {listed(rivals, 'or')}")
+        return Verdict("ambiguous", effects, rivals, blind, f"{explained}; so does {listed(rivals, ' or ')}")
     return Verdict("named" if len(effects) == 1 else "multiple", effects, (), blind, explained)
-
-
-def listed(names: Sequence[str], word: str = "and") -> str:
-    """Return names as they stand in a sentence: a, b and c."""
-    return f" {word} ".join([*([", ".join(names[:-1])] if len(names) > 1 else []), *names[-1:]])
 
 
 def _one_with(decision: Decision) -> list[str]:

@@ -20,8 +20,8 @@ def tyre_curves(vehicle: Vehicle, names: Sequence[str], theta: Array, draws: Arr
 
     Columns: axle, direction (x, y), slip, start (the given vehicle), value, low, high.
     """
-    start, value = _forces(vehicle), _forces(replace_values(vehicle, dict(zip(names, map(float, theta), strict=True))))
-    spread = [_forces(replace_values(vehicle, dict(zip(names, map(float, draw), strict=True)))) for draw in draws]
+    start, value = forces(vehicle), forces(replace_values(vehicle, dict(zip(names, map(float, theta), strict=True))))
+    spread = [forces(replace_values(vehicle, dict(zip(names, map(float, draw), strict=True)))) for draw in draws]
     parts = []
     for key in start:
         band = np.percentile([draw[key] for draw in spread], [2.5, 97.5], axis=0) if spread else [value[key]] * 2
@@ -41,7 +41,8 @@ def tyre_curves(vehicle: Vehicle, names: Sequence[str], theta: Array, draws: Arr
     return pd.concat(parts, ignore_index=True)
 
 
-def _forces(vehicle: Vehicle) -> dict[tuple[str, str], Array]:
+def forces(vehicle: Vehicle) -> dict[tuple[str, str], Array]:
+    """Return force/load over SLIP at the static load, by axle and direction."""
     slip = torch.as_tensor(SLIP)
     still = vehicle.motion([0.0 * slip] * len(STATE))
     curves = {}

@@ -15,6 +15,8 @@ from racerl.report.figures import gap_actuators, gap_channels, gap_maps, gap_pat
 from racerl.report.page import figure, provenance, write_page
 from racerl.run import CONFIG, RunFolder
 
+UNITS = {name: channel.unit for name, channel in CHANNELS.items()}
+
 
 def draw_gap(run: Path) -> Path:
     """Write the figures and the page of a finished diagnosis into its folder; return the page's path."""
@@ -37,7 +39,7 @@ def draw_gap(run: Path) -> Path:
             proof=proof,
             located=located,
             figures=figures,
-            units={name: channel.unit for name, channel in CHANNELS.items()},
+            units=UNITS,
             horizon=read_yaml(folder.path / CONFIG)["window"],
             provenance=provenance(folder.manifest),
         )
@@ -51,14 +53,13 @@ def _drawn(
     if proof is None or located is None:
         return []
     added = bool(facts["effects"] or facts["helped"])
-    units = {name: channel.unit for name, channel in CHANNELS.items()}
     return [
         (
             "stretch",
             "Where the model misses most",
             f"The worst stretch of the {PLAIN[proof['stretch']['stage']]}: rollouts that begin at the dotted lines, "
             "each from the state estimated there, by fits that have not seen it.",
-            gap_stretch.draw(proof["stretch"], units, added),
+            gap_stretch.draw(proof["stretch"], UNITS, added),
         ),
         (
             "path",
@@ -76,7 +77,7 @@ def _drawn(
             "actuators",
             "The actuators by themselves",
             "Measured where the command had stood for 0.3 s, without any model; dotted: response = command.",
-            gap_actuators.draw(located["actuators"], units),
+            gap_actuators.draw(located["actuators"], UNITS),
         ),
         (
             "ranking",
