@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from racerl.optimum.along import N
-from racerl.optimum.collocation import Solution, minimise
+from racerl.optimum.collocation import MOST_TURN, Solution, minimise
 from racerl.optimum.corridor import Corridor
 from racerl.vehicle.integrate import rk4
 from racerl.vehicle.ops import CasadiOps
@@ -55,9 +55,10 @@ def hold(corridor: Corridor, solution: Solution, period: float, substeps: int) -
     after = casadi.horzcat(X[:, 1:], X[:, 0] + lap)
     held = casadi.horzcat(*[U[:, k] for k in range(count) for _ in range(substeps)])
     moved = _step(vehicle).map(steps)(X, held, casadi.repmat(h / substeps, 1, steps))
-    x, y, right, left = casadi.vertsplit(_geometry(corridor).map(steps)(P))
+    x, y, yaw, right, left = casadi.vertsplit(_geometry(corridor).map(steps)(P))
+    turned = (X[YAW, :] - yaw).T
     equal = casadi.vertcat(casadi.vec(moved - after), casadi.vec(X[:2, :] - casadi.vertcat(x, y)))
-    positive = [right.T, left.T]
+    positive = [right.T, left.T, MOST_TURN - turned, MOST_TURN + turned]
     if action.integrated:
         change = (U[1, :] - casadi.horzcat(U[1, -1], U[1, :-1])).T
         positive += [action.rate_max * h - change, action.rate_max * h + change]
@@ -105,7 +106,7 @@ def _step(vehicle: Vehicle) -> Any:
 
 
 def _geometry(corridor: Corridor) -> Any:
-    """Return (s, n) → (x, y, room to the right, room to the left) in m."""
+    """Return (s, n) → (x, y in m, yaw of the line in rad, room to the right, room to the left in m)."""
     margin = BEYOND * corridor.length
     s = np.arange(-2 * margin, corridor.length + 2 * margin, TABLE)
     stretch = corridor.at(s)
@@ -115,5 +116,5 @@ def _geometry(corridor: Corridor) -> Any:
     at, n = place[0], place[1]
     x = smooth["x"](at) - n * casadi.sin(smooth["yaw"](at))
     y = smooth["y"](at) + n * casadi.cos(smooth["yaw"](at))
-    rows = casadi.vertcat(x, y, n - bound["low"](at), bound["high"](at) - n)
+    rows = casadi.vertcat(x, y, smooth["yaw"](at), n - bound["low"](at), bound["high"](at) - n)
     return casadi.Function("geometry", [place], [rows])
