@@ -3,6 +3,7 @@
 Another formula is a tyre's shape then, and no effect. Effects depend on time, place, side, speed or load, and stay.
 """
 
+from collections.abc import Sequence
 from dataclasses import fields, replace
 from typing import Any
 
@@ -10,36 +11,42 @@ import numpy as np
 from numpy.typing import NDArray
 
 from racerl.estimation.unknowns import Unknown
-from racerl.gap.comparison import CLEAR, REAL, Judge, excesses
-from racerl.gap.cross_validation import held_out, held_out_errors
+from racerl.gap.comparison import PARAMETER, REAL, CandidateScore, Judge, excesses
+from racerl.gap.decision import Decision
 from racerl.gap.fit_data import FitData, kernels_of
-from racerl.gap.fitted_model import FittedModel, settled_fit, with_effect
+from racerl.gap.fitted_model import FittedModel, settled_fit, touched, with_effect
 from racerl.gap.investigation import Investigation, investigation_of
-from racerl.gap.nominal import NOTHING, Nominal
+from racerl.gap.nominal import Nominal
 from racerl.vehicle.effects.tyre_shape import TyreShape
 from racerl.vehicle.parameter import specifications, values
 from racerl.vehicle.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 SHAPE, STAGE = "tyre_shape", "chassis"
+SIZE = len(fields(TyreShape)) - len(TyreShape.known)  # weights
 SPREAD = 0.5  # deviation of the weights' priors
 LARGE = 0.4  # of D/K, from which on a slip counts as large: where formulas differ (one simulated car on Dugoff tyres)
 
 
-def any_tyre(plain: Investigation) -> Investigation:
-    """Return the investigation with a tyre of any shape if that is asked for, else as it is."""
-    if SHAPE in plain.vehicle.effects:
-        return replace(plain, shaped=True)
-    if STAGE not in plain.evidence:
-        return plain
-    cost = held_out(plain, plain.base)
-    if excesses(plain, cost, plain.floor)[STAGE] < REAL * plain.floor[STAGE]:
-        return plain
-    shaped = _shaped(plain)
-    errors = held_out_errors(shaped, shaped.base)[STAGE] / plain.sigma[STAGE][:, None]
-    other = {STAGE: (errors**2).sum(axis=(0, 1))}
-    gain, error = Judge(plain, cost).gain({STAGE: cost[STAGE]}, other)
-    return shaped if gain > CLEAR * error else plain
+def other_tyre(judge: Judge, decision: Decision, rows: Sequence[CandidateScore]) -> Investigation | None:
+    """Return the investigation on a tyre of any shape where that comes before a round's candidates; else None.
+
+    The shape is a candidate with ten parameters. It is not fitted beside an effect that it cannot come before.
+    """
+    plain = judge.investigation
+    if plain.shaped or STAGE not in decision.cost:
+        return None
+    best = [row for row in rows[:1] if row.needed]
+    if not best and excesses(plain, decision.cost, decision.noise)[STAGE] < REAL * decision.noise[STAGE]:
+        return None
+    if any(STAGE not in row.cost or row.explained > 1.0 - PARAMETER * (SIZE - row.size) for row in best):
+        return None
+    shaped = _with_weights(plain)
+    model = _fitted(shaped, decision.found)
+    row = replace(judge, investigation=shaped).score(SHAPE, model, decision)
+    if not row.clear or judge.ranked([*best, row], decision.cost)[0].name != SHAPE:
+        return None
+    return _settled(shaped, model if not decision.chosen else _fitted(shaped, plain.base))
 
 
 def shape_of(found: FittedModel) -> list[str]:
@@ -53,20 +60,30 @@ def _weights(vehicle: Vehicle) -> list[str]:
     return [name for name in specifications(vehicle) if name.startswith(f"effects.{SHAPE}.") and name not in fixed]
 
 
-def _shaped(plain: Investigation) -> Investigation:
-    """Return the investigation with the shape's weights among the unknowns, fitted from where it stands."""
-    shape = TyreShape(**_slips(plain.vehicle))
-    vehicle = with_effect(plain.vehicle, SHAPE, shape)
+def _with_weights(plain: Investigation) -> Investigation:
+    """Return the investigation of a vehicle with a shape, zero yet, its weights among the unknowns."""
+    vehicle = with_effect(plain.vehicle, SHAPE, TyreShape(**_slips(plain.vehicle)))
     known = specifications(vehicle)
     weights = [Unknown(name, 0.0, SPREAD, known[name].low, known[name].high) for name in _weights(vehicle)]
     unknowns = [*plain.unknowns, *weights]
-    given: dict[str, Any] = {field.name: getattr(plain, field.name) for field in fields(FitData)}
     kernels = kernels_of(plain.evidence, vehicle, unknowns, plain.catalogue)
-    data = FitData(**{**given, "vehicle": vehicle, "unknowns": unknowns, "kernels": kernels})
-    model = settled_fit(data, NOTHING, with_effect(plain.base.vehicle, SHAPE, shape), plain.base)
-    nominal = Nominal(model, plain.nominal.met_twice)
-    found = investigation_of(replace(data, strength=model.strength), nominal, plain.folds, plain.seed)
-    return replace(found, shaped=True)
+    return replace(plain, vehicle=vehicle, unknowns=unknowns, kernels=kernels, shaped=True)
+
+
+def _fitted(shaped: Investigation, found: FittedModel) -> FittedModel:
+    """Return a fit of the shape from where a fit without it stands, over the stages that they touch."""
+    vehicle = with_effect(found.vehicle, SHAPE, shaped.vehicle.effects[SHAPE])
+    stages = [STAGE, *touched(shaped, vehicle, found.effects)] if found.effects else list(shaped.evidence)
+    return settled_fit(shaped, found.effects, vehicle, found, stages=list(dict.fromkeys(stages)))
+
+
+def _settled(shaped: Investigation, model: FittedModel) -> Investigation:
+    """Return the investigation by a nominal fit with the shape."""
+    given: dict[str, Any] = {field.name: getattr(shaped, field.name) for field in fields(FitData)}
+    data = FitData(**{**given, "strength": model.strength})
+    return replace(
+        investigation_of(data, Nominal(model, shaped.nominal.met_twice), shaped.folds, shaped.seed), shaped=True
+    )
 
 
 def _slips(vehicle: Vehicle) -> dict[str, float]:

@@ -101,6 +101,7 @@ class CandidateScore:
         """
         small = self.explained > ALL and self.worth > SMALL and self.before > REAL and self.like < LIKE
         sure = self.before < REAL and self.gain > SURE * self.error and self.found.effects == {self.name}
+        sure = sure and not self.foreign
         left = self.before > 0.0 and self.explained >= WORTH and (self.worth >= WORTH or small)
         left = left and (self.fall > REMAINDER or not self.foreign)
         return sure or (self.gain > errors * self.error and left)

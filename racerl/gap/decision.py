@@ -23,9 +23,10 @@ CARRIED = 3  # times that the fit of what was chosen is carried on, unless it is
 class Decision(Standing):
     """What naming came to: effects in the order found, every round's candidates, best first.
 
-    `noise` is by the first fit or this one.
+    `noise` is by the first fit or this one. The effects are beside the vehicle of `investigation`.
     """
 
+    investigation: Investigation
     kept: dict[str, list[CandidateScore]]  # every effect, and its rivals, beside the others
     score: Score  # of the refitted vehicle without effects
     rounds: list[list[CandidateScore]] = field(default_factory=list)

@@ -17,7 +17,7 @@ from racerl.data.log import POSE, Log
 from racerl.documents import conf_folder, write_json, write_text
 from racerl.estimation.unknowns import choose_unknowns
 from racerl.gap import residual
-from racerl.gap.any_tyre import any_tyre, shape_of
+from racerl.gap.any_tyre import shape_of
 from racerl.gap.catalogue import of_the_world, starts
 from racerl.gap.checkpoint import Checkpoint
 from racerl.gap.decision import Decision
@@ -164,17 +164,6 @@ def _list(value: Any) -> list[str]:
     return [value] if isinstance(value, str) else list(value)
 
 
-def named(plain: Investigation, on_progress: OnProgress) -> tuple[Investigation, Decision, Verdict]:
-    """Return what held-out windows ask for; of a vehicle on any tyre where they ask for what no effect explains."""
-    decision = name_effects(plain, within(lambda what, share: on_progress(f"name: {what}", share), *NAMING))
-    verdict = judge(plain, decision)
-    if verdict.kind == "unknown" and (shaped := any_tyre(plain)).shaped:
-        again = name_effects(shaped, lambda what, share: on_progress(f"name on any tyre: {what}", NAMING[1]))
-        if (other := judge(shaped, again)).kind != "unknown":
-            return shaped, again, other
-    return plain, decision, verdict
-
-
 def _steps(
     plain: Investigation,
     whole: Evidence | None,
@@ -188,7 +177,8 @@ def _steps(
     on_progress("locate", NAMING[0] / 2.0)
     located = locate(plain, whole)
     write_json(folder / LOCATE, located)
-    investigation, decision, verdict = named(plain, on_progress)
+    decision = name_effects(plain, within(lambda what, share: on_progress(f"name: {what}", share), *NAMING))
+    investigation, verdict = decision.investigation, judge(decision.investigation, decision)
     chosen = decision.found if verdict.kind in CLAIMS else investigation.base
     numbers = wrong_numbers(investigation, chosen, within(on_progress, *COUNTING))
     found = numbers.vehicle
@@ -358,7 +348,7 @@ def _write_vehicle(
             parameters[name] = {"ci95": row["ci95"], "identified": True, "unit": units[name].unit}
     added = {
         name: {key.rpartition(".")[2]: found.theta[key] for key in found.theta if key.startswith(f"effects.{name}.")}
-        for name in (*found.effects, *shape_of(found))
+        for name in (*sorted(found.effects), *shape_of(found))
     }
     given = settings["vehicle"]
     vehicle = {**given, "effects": {**(given.get("effects") or {}), **added}}

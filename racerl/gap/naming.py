@@ -1,11 +1,13 @@
 """Naming the missing effect: score the catalogue, fit the shortlist, decide on stretches that no fit has seen.
 
 Round by round the effect that helps most on held-out windows is added, until none helps significantly; then backward
-elimination judges every one again beside those found after it.
+elimination judges every one again beside those found after it. Where a tyre of another shape than its formula's helps
+more than any, naming begins anew with that.
 """
 
 from collections.abc import Mapping
 
+from racerl.gap.any_tyre import other_tyre
 from racerl.gap.candidates import add, converged
 from racerl.gap.comparison import CandidateScore, Judge, excess
 from racerl.gap.cross_validation import held_out
@@ -32,7 +34,7 @@ def name_effects(investigation: Investigation, on_progress: OnProgress = silent)
     score = summed(ahead.values())
     judge = Judge(investigation, cost, score)
     first = [excess(investigation, cost, investigation.floor)]
-    decision = Decision(base, cost, dict(investigation.floor), {}, score, excess=first)
+    decision = Decision(base, cost, dict(investigation.floor), investigation, {}, score, excess=first)
     for number in range(ROUNDS):
         if number:
             ahead = scores(investigation, decision.found)
@@ -40,6 +42,8 @@ def name_effects(investigation: Investigation, on_progress: OnProgress = silent)
         rows = _round(judge, decision, ahead, within(on_progress, *part))
         while rows and rows[0].needed and passes_less_noise(judge, decision, rows[0]):
             rows = judge.ranked(rows[1:], decision.cost)
+        if (tyre := other_tyre(judge, decision, rows)) is not None:
+            return name_effects(tyre, within(on_progress, part[1], 1.0))
         decision.rounds.append(rows)
         decision.features.append(features(judge, decision, rows))
         if not rows or not rows[0].needed:

@@ -5,8 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from racerl.gap.any_tyre import LARGE, SHAPE, any_tyre, shape_of
+import racerl.gap.any_tyre as any_tyre
+from racerl.gap.any_tyre import LARGE, SHAPE, shape_of
 from racerl.gap.diagnose import gap
+from racerl.gap.naming import name_effects
+from racerl.gap.verdict import judge
 from racerl.vehicle.effects.tyre_shape import TyreShape
 from racerl.vehicle.load import load_vehicle
 from racerl.vehicle.parameter import values
@@ -23,12 +26,15 @@ def foreign():
 
 def test_a_right_tyre_keeps_its_formula(clean):
     investigation = investigate(clean, "yaw_damping")
-    assert any_tyre(investigation) is investigation and not investigation.shaped
+    decision = name_effects(investigation)
+    assert decision.investigation is investigation and not investigation.shaped
 
 
-def test_a_foreign_tyre_is_a_shape_and_no_effect(foreign, tmp_path):
+def test_a_foreign_tyre_is_a_shape_and_no_effect(foreign):
     plain = investigate(foreign, "yaw_damping", "roll_dynamics")
-    shaped = any_tyre(plain)
+    decision = name_effects(plain)
+    shaped = decision.investigation
+    assert decision.chosen == [] and judge(shaped, decision).kind == "none"
     assert shaped.shaped and shape_of(shaped.base) == [SHAPE] and shape_of(plain.base) == []
     cost = {name: each.base.cost["chassis"].sum() for name, each in (("plain", plain), ("shaped", shaped))}
     assert cost["plain"] > 1.1 * plain.floor["chassis"] and cost["shaped"] < 1.05 * shaped.floor["chassis"]
@@ -39,6 +45,11 @@ def test_a_foreign_tyre_is_a_shape_and_no_effect(foreign, tmp_path):
     assert table[f"effects.{SHAPE}.alpha"] == pytest.approx(LARGE * table["friction"] * slide)
 
 
+def test_no_shape_is_fitted_beside_an_effect_that_explains_all(damped, monkeypatch):
+    monkeypatch.setattr(any_tyre, "_fitted", lambda *_: pytest.fail("fitted"))
+    assert name_effects(investigate(damped, "yaw_damping", "aero_drag")).chosen == ["yaw_damping"]
+
+
 @pytest.mark.slow
 def test_the_shape_is_written_with_the_vehicle(foreign, tmp_path):
     facts = gap(settings_for(foreign, tmp_path, "yaw_damping"), tmp_path / "out")
@@ -46,3 +57,12 @@ def test_the_shape_is_written_with_the_vehicle(foreign, tmp_path):
     effects = load_vehicle({"file": str(tmp_path / "out" / "model.yaml")}).effects
     assert list(effects) == [SHAPE] and isinstance(effects[SHAPE], TyreShape)
     assert effects[SHAPE].aside_drive != 0.0
+
+
+@pytest.mark.slow
+def test_an_effect_is_found_beside_a_shape():
+    words = [f"+vehicle.effects.{SHAPE}.aside_drive=-0.4", f"+vehicle.effects.{SHAPE}.aside_turn_drive=0.4"]
+    log = drive(*WORDS, *words, "+vehicle/effect=yaw_damping", "vehicle.effects.yaw_damping.coefficient=0.3")
+    decision = name_effects(investigate(log, "yaw_damping", "longitudinal_load_transfer", "aero_drag"))
+    assert decision.investigation.shaped and decision.chosen == ["yaw_damping"]
+    assert float(decision.found.vehicle.effects["yaw_damping"].coefficient) == pytest.approx(0.3, rel=0.1)

@@ -354,7 +354,7 @@ def test_effects_are_judged_again_beside_those_found_after_them(monkeypatch, sha
         "v": ranked([score("v", v, before), score("a", a, before)], {}),
         "l": [score("l", both, before)],
     }
-    decision = eliminated(judge, Decision(fit("vl"), fit("vl").cost, {"chassis": 0.0}, first, None))
+    decision = eliminated(judge, Decision(fit("vl"), fit("vl").cost, {"chassis": 0.0}, None, first, None))
     assert decision.chosen == list(chosen) and decision.found.names == set(chosen)
     assert decision.cost == fit(chosen).cost
     assert [other.name for other in equals(decision.kept[chosen[0]])] == rivals
@@ -366,7 +366,7 @@ def test_the_least_cost_of_noise_is_the_noise(monkeypatch):
     monkeypatch.setattr("racerl.gap.decision.noise_cost", lambda investigation, found, seed: found)
     investigation = SimpleNamespace(floor={"drive": 5.0, "chassis": 9.0}, seed=0)
     for passed, least in ((7.0, 7.0), (11.0, 9.0)):
-        decision = changed(investigation, Decision(None, {}, {}, {}, None), {}, {"chassis": passed})
+        decision = changed(investigation, Decision(None, {}, {}, None, {}, None), {}, {"chassis": passed})
         assert decision.noise == {"drive": 5.0, "chassis": least}
 
 
