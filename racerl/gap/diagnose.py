@@ -17,7 +17,7 @@ from racerl.data.log import POSE, Log
 from racerl.documents import conf_folder, write_json, write_text
 from racerl.estimation.unknowns import choose_unknowns
 from racerl.gap import residual
-from racerl.gap.any_tyre import shape_of
+from racerl.gap.any_tyre import SHAPE, shape_of
 from racerl.gap.catalogue import of_the_world, starts
 from racerl.gap.checkpoint import Checkpoint
 from racerl.gap.decision import Decision
@@ -83,6 +83,8 @@ def gap(settings: Mapping[str, Any], out: Path, on_progress: OnProgress = silent
         whole = chain(logs, settings)
         missing = [name for name in COMMANDS if name not in channels_of(logs)]
         facts, found, investigation = _steps(investigation, whole, settings, folder.path, told, missing, on_progress)
+        if shape_of(found):
+            facts["remarks"].append(f"the tyres have another shape than their formula's: {MODEL} has it ({SHAPE})")
         _write_vehicle(folder.path / MODEL, settings, facts, investigation, found)
         _write_vehicle(folder.path / MODEL_BEFORE, settings, facts, investigation, investigation.base)
     write_json(folder.path / VERDICT, facts)

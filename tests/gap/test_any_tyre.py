@@ -56,7 +56,7 @@ def test_the_shape_is_written_with_the_vehicle(foreign, tmp_path):
     assert facts["effects"] == [] and facts["gap"]["after"] < 1.05
     effects = load_vehicle({"file": str(tmp_path / "out" / "model.yaml")}).effects
     assert list(effects) == [SHAPE] and isinstance(effects[SHAPE], TyreShape)
-    assert effects[SHAPE].aside_drive != 0.0
+    assert effects[SHAPE].aside_drive != 0.0 and any(SHAPE in line for line in facts["remarks"])
 
 
 @pytest.mark.slow
