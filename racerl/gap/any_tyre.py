@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from racerl.estimation.unknowns import Unknown
-from racerl.gap.comparison import PARAMETER, REAL, CandidateScore, Judge, excesses
+from racerl.gap.comparison import PARAMETER, REAL, TYRES, CandidateScore, Judge, excesses
 from racerl.gap.decision import Decision
 from racerl.gap.fit_data import FitData, kernels_of
 from racerl.gap.fitted_model import FittedModel, settled_fit, touched, with_effect
@@ -22,7 +22,7 @@ from racerl.vehicle.parameter import specifications, values
 from racerl.vehicle.vehicle import Vehicle
 
 Array = NDArray[np.float64]
-SHAPE, STAGE = "tyre_shape", "chassis"
+SHAPE = "tyre_shape"
 SIZE = len(fields(TyreShape)) - len(TyreShape.known)  # weights
 SPREAD = 0.5  # deviation of the weights' priors
 LARGE = 0.4  # of D/K, from which on a slip counts as large: where formulas differ (one simulated car on Dugoff tyres)
@@ -34,12 +34,12 @@ def other_tyre(judge: Judge, decision: Decision, rows: Sequence[CandidateScore])
     The shape is a candidate with ten parameters. It is not fitted beside an effect that it cannot come before.
     """
     plain = judge.investigation
-    if plain.shaped or STAGE not in decision.cost:
+    if plain.shaped or TYRES not in decision.cost:
         return None
     best = [row for row in rows[:1] if row.needed]
-    if not best and excesses(plain, decision.cost, decision.noise)[STAGE] < REAL * decision.noise[STAGE]:
+    if not best and excesses(plain, decision.cost, decision.noise)[TYRES] < REAL * decision.noise[TYRES]:
         return None
-    if any(STAGE not in row.cost or row.explained > 1.0 - PARAMETER * (SIZE - row.size) for row in best):
+    if any(TYRES not in row.cost or row.explained > 1.0 - PARAMETER * (SIZE - row.size) for row in best):
         return None
     shaped = _with_weights(plain)
     model = _fitted(shaped, decision.found)
@@ -73,7 +73,7 @@ def _with_weights(plain: Investigation) -> Investigation:
 def _fitted(shaped: Investigation, found: FittedModel) -> FittedModel:
     """Return a fit of the shape from where a fit without it stands, over the stages that they touch."""
     vehicle = with_effect(found.vehicle, SHAPE, shaped.vehicle.effects[SHAPE])
-    stages = [STAGE, *touched(shaped, vehicle, found.effects)] if found.effects else list(shaped.evidence)
+    stages = [TYRES, *touched(shaped, vehicle, found.effects)] if found.effects else list(shaped.evidence)
     return settled_fit(shaped, found.effects, vehicle, found, stages=list(dict.fromkeys(stages)))
 
 

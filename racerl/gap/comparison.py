@@ -26,8 +26,11 @@ EQUAL = 0.05  # share of the excess that a rival may explain less
 PARAMETER = 0.01  # share of the excess that one more parameter must explain
 WILD, TYPICAL = 30.0, 10.0  # mean squared deviation of a wild window, and its cost in median ones
 WORTH = 0.04  # share of the first excess, and of what is left of it before the round, that an effect must explain
+# excess over the noise's cost that clean cars of other formulas leave of the refit: up to 12 % of two on Dugoff tyres
+FOREIGN = 0.15
 REMAINDER = 0.05  # of the noise's cost, that an effect must take of what a foreign tyre leaves
 REAL = 0.05  # excess cost over the noise's that is real: the noise itself is known to a few percent
+TYRES = "chassis"  # the stage that has tyres
 ALL, SMALL = 0.75, 0.01  # shares of what is left, and of the first excess, that are not an earlier effect's wrong form
 LIKE = 0.5  # |cosine| with an effect found before, from which on a small one may mend its form
 
@@ -61,7 +64,7 @@ class CandidateScore:
     worth: float
     before: float
     fall: float = np.inf  # of the excess, over the noise's cost
-    foreign: bool = False  # the refit's tyre had to be of another shape than its formula's
+    foreign: bool = False  # it acts on tyres that had to be of another shape than their formula's
     like: float = 0.0  # largest |cosine| with the effects beside it
     behind: float = 0.0
     leads: float = 1.0  # share of resamples in which it comes first of its round
@@ -97,13 +100,13 @@ class CandidateScore:
         A small one beside a large one has to explain most of what that one leaves, and not look like it. Where the
         excess is no larger than the noise is known, shares of it say nothing, and one effect has to gain the more.
         Where the fit is at the noise, what held-out windows cost beyond it is what their folds know too badly. Of a
-        tyre of another formula something stays that an effect may take for its own.
+        tyre of another formula something stays that an effect of the motion may take for its own.
         """
         small = self.explained > ALL and self.worth > SMALL and self.before > REAL and self.like < LIKE
         sure = self.before < REAL and self.gain > SURE * self.error and self.found.effects == {self.name}
-        sure = sure and not self.foreign
         left = self.before > 0.0 and self.explained >= WORTH and (self.worth >= WORTH or small)
-        left = left and (self.fall > REMAINDER or not self.foreign)
+        if self.foreign:
+            sure, left = False, left and self.before > FOREIGN and self.fall > REMAINDER
         return sure or (self.gain > errors * self.error and left)
 
 
@@ -188,7 +191,7 @@ class Judge:
             worth,
             most,
             fall,
-            investigation.shaped,
+            investigation.shaped and TYRES in stages,
             self.nominal.likeness(name, found.effects - {name}),
         )
 

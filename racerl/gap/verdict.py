@@ -16,15 +16,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from racerl.gap.comparison import BEHIND, REAL, CandidateScore, equals, excesses, total
+from racerl.gap.comparison import BEHIND, FOREIGN, REAL, CandidateScore, equals, excesses, total
 from racerl.gap.decision import Decision
 from racerl.gap.fitted_model import touched
 from racerl.gap.investigation import Investigation
 from racerl.gap.score import Score
 from racerl.gap.sentences import listed
 
-# excess over the noise's cost that clean cars of other formulas leave of the refit: up to 12 % of two on Dugoff tyres
-FOREIGN = 0.15
 CHANCE = 5.0  # deviations of the noise's own cost, below which an excess may be chance
 LEFT, LEFT_EXACT = 0.25, 0.1  # shares of the first excess that may stay behind a right name: of many forms, of one
 CREDIBLE = 0.6  # share of the excess that a name must explain

@@ -533,6 +533,16 @@ def test_a_small_effect_beside_a_large_one_must_explain_what_is_left_and_not_loo
     assert not dataclasses.replace(small, error=50.0).stays and not dataclasses.replace(small, explained=0.5).stays
 
 
+def test_what_a_foreign_tyre_leaves_is_no_effects():
+    found = SimpleNamespace(effects={"aero_drag"})
+    some = CandidateScore("aero_drag", found, {}, 90.0, 10.0, 0.0, explained=0.8, worth=0.8, before=0.10, fall=0.08)
+    assert some.needed and not dataclasses.replace(some, foreign=True).needed
+    assert dataclasses.replace(some, foreign=True, before=0.3, fall=0.2).needed
+    assert not dataclasses.replace(some, foreign=True, before=0.3, fall=0.02).needed
+    beyond_doubt = dataclasses.replace(some, before=0.02)
+    assert beyond_doubt.needed and not dataclasses.replace(beyond_doubt, foreign=True).needed
+
+
 def test_a_name_is_as_stable_as_resamples_of_the_runs_leave_it(monkeypatch):
     """One candidate helps everywhere by 50, another in every second run by more: by how much more decides."""
     monkeypatch.setattr("racerl.gap.comparison.blocks", lambda evidence: np.arange(40))
