@@ -25,6 +25,7 @@ def features(judge: Judge, standing: Standing, rows: Sequence[CandidateScore]) -
         "candidates": [
             {
                 "name": row.name,
+                "needed": row.needed,
                 "gain": row.gain,
                 "error": row.error,
                 "behind": row.behind,

@@ -21,11 +21,12 @@ from racerl.documents import read_json
 Array = NDArray[np.float64]
 Round = Mapping[str, Any]  # what `features` returns
 UNLISTED = "?"  # something that is not in the catalogue
-CANDIDATE = ("constant", "errors", "explained", "fall", "behind", "leads", "like")
+CANDIDATE = ("constant", "needed", "errors", "explained", "fall", "behind", "leads", "like")
 STOP = ("excess",)
 LEFT = ("constant", "left", "share")
 SMALL = 0.02  # of the noise's cost: an excess below it counts as none
 CALIBRATION = Path(__file__).with_name("calibration.json")
+LARGE = 1.0  # of the noise's cost: an excess beyond it is no tyre's, whatever its formula
 LEAST = 1.0  # squared deviation, as which an error counts at least
 RAREST = 0.005  # probability below which a hypothesis is not told
 
@@ -95,11 +96,20 @@ def choice(each: Round, rule: Rule) -> Array:
     return raised / raised.sum()
 
 
+def in_doubt(each: Round, rule: Rule) -> bool:
+    """Return whether none of a round's candidates is more probable than all of them together.
+
+    Not where the excess is large: a real car lacks what has a name and what has none, no simulated one lacked both.
+    """
+    return max(each["fit"].values()) < LARGE and float(choice(each, rule)[0]) > 0.5
+
+
 def candidate_features(each: Round) -> Array:
     """Return what the candidates of a round gain, (N, len(CANDIDATE))."""
     rows = [
         (
             1.0,
+            float(row["needed"]),
             np.log1p(max(row["gain"], 0.0) / max(row["error"], LEAST)),
             float(np.clip(row["explained"], 0.0, 1.0)),
             np.log(max(row["fall"], SMALL) / SMALL),

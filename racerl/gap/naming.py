@@ -1,8 +1,8 @@
 """Naming the missing effect: score the catalogue, fit the shortlist, decide on stretches that no fit has seen.
 
-Round by round the effect that helps most on held-out windows is added, until none helps significantly; then backward
-elimination judges every one again beside those found after it. Where a tyre of another shape than its formula's helps
-more than any, naming begins anew with that.
+Round by round the effect that helps most on held-out windows is added, until none helps significantly, or simulated
+cars say that rather none is missing; then backward elimination judges every one again beside those found after it.
+Where a tyre of another shape than its formula's helps more than any, naming begins anew with that.
 """
 
 from collections.abc import Mapping
@@ -14,6 +14,7 @@ from racerl.gap.cross_validation import held_out
 from racerl.gap.decision import Decision, carried, changed, passes_less_noise
 from racerl.gap.elimination import eliminated, settled
 from racerl.gap.features import features
+from racerl.gap.hypotheses import calibrated, in_doubt
 from racerl.gap.investigation import Investigation
 from racerl.gap.progress import OnProgress, silent, within
 from racerl.gap.score import Score, summed
@@ -45,8 +46,8 @@ def name_effects(investigation: Investigation, on_progress: OnProgress = silent)
         if (tyre := other_tyre(judge, decision, rows)) is not None:
             return name_effects(tyre, within(on_progress, part[1], 1.0))
         decision.rounds.append(rows)
-        decision.features.append(features(judge, decision, rows))
-        if not rows or not rows[0].needed:
+        decision.features.append(seen := features(judge, decision, rows))
+        if not rows or not rows[0].needed or in_doubt(seen, calibrated()):
             break
         found = carried(investigation, rows[0].found)
         decision = changed(investigation, decision, {**decision.kept, rows[0].name: rows}, found)

@@ -14,6 +14,7 @@ from racerl.gap.hypotheses import (
     candidate_features,
     choice,
     hypotheses,
+    in_doubt,
     left_features,
     reaching,
     stop_features,
@@ -22,7 +23,7 @@ from racerl.gap.sentences import why_not
 
 
 def candidate(name, errors=5.0, explained=0.9, fall=0.5, behind=0.0, leads=1.0, like=0.0):
-    row = {"name": name, "gain": errors, "error": 1.0, "explained": explained, "fall": fall}
+    row = {"name": name, "needed": errors > 3.0, "gain": errors, "error": 1.0, "explained": explained, "fall": fall}
     return {**row, "behind": behind, "leads": leads, "like": like}
 
 
@@ -41,6 +42,15 @@ def test_odds_are_those_of_the_weighted_features():
     assert p.sum() == pytest.approx(1.0)
     assert np.log(p[1:] / p[0]) == pytest.approx([1.8, 0.4])  # nothing is given for an end of the search
     assert choice(seen(1.0), rule()) == pytest.approx([1.0])
+
+
+def test_candidates_are_in_doubt_where_none_of_them_is_more_probable():
+    each = seen(0.9, candidate("a", explained=0.9), candidate("b", explained=0.2))
+    assert not in_doubt(each, rule(explained=2.0)) and not in_doubt(
+        each, rule(constant=-0.6)
+    )  # a or b, no matter which
+    assert in_doubt(each, rule(constant=-0.8)) and in_doubt(seen(0.9), rule(explained=2.0))
+    assert not in_doubt({**each, "fit": {"chassis": 2.0}}, rule(constant=-0.8))  # something is missing there
 
 
 def test_a_path_multiplies_its_rounds():
