@@ -15,14 +15,13 @@ from racerl.gap.comparison import PARAMETER, REAL, TYRES, CandidateScore, Judge,
 from racerl.gap.decision import Decision
 from racerl.gap.fit_data import FitData, kernels_of
 from racerl.gap.fitted_model import FittedModel, settled_fit, touched, with_effect
-from racerl.gap.investigation import Investigation, investigation_of
+from racerl.gap.investigation import SHAPE, Investigation, investigation_of
 from racerl.gap.nominal import Nominal
 from racerl.vehicle.effects.tyre_shape import TyreShape
 from racerl.vehicle.parameter import specifications, values
 from racerl.vehicle.vehicle import Vehicle
 
 Array = NDArray[np.float64]
-SHAPE = "tyre_shape"
 SIZE = len(fields(TyreShape)) - len(TyreShape.known)  # weights
 MOST = 0.5  # share of what is left that a shape must explain which explains little of the first excess
 SPREAD = 0.5  # deviation of the weights' priors
@@ -71,7 +70,7 @@ def _with_weights(plain: Investigation) -> Investigation:
     weights = [Unknown(name, 0.0, SPREAD, known[name].low, known[name].high) for name in _weights(vehicle)]
     unknowns = [*plain.unknowns, *weights]
     kernels = kernels_of(plain.evidence, vehicle, unknowns, plain.catalogue)
-    return replace(plain, vehicle=vehicle, unknowns=unknowns, kernels=kernels, shaped=True)
+    return replace(plain, vehicle=vehicle, unknowns=unknowns, kernels=kernels)
 
 
 def _fitted(shaped: Investigation, found: FittedModel) -> FittedModel:
@@ -85,9 +84,7 @@ def _settled(shaped: Investigation, model: FittedModel) -> Investigation:
     """Return the investigation by a nominal fit with the shape."""
     given: dict[str, Any] = {field.name: getattr(shaped, field.name) for field in fields(FitData)}
     data = FitData(**{**given, "strength": model.strength})
-    return replace(
-        investigation_of(data, Nominal(model, shaped.nominal.met_twice), shaped.folds, shaped.seed), shaped=True
-    )
+    return investigation_of(data, Nominal(model, shaped.nominal.met_twice), shaped.folds, shaped.seed)
 
 
 def _slips(vehicle: Vehicle) -> dict[str, float]:

@@ -17,14 +17,14 @@ from racerl.data.log import POSE, Log
 from racerl.documents import conf_folder, write_json, write_text
 from racerl.estimation.unknowns import choose_unknowns
 from racerl.gap import residual
-from racerl.gap.any_tyre import SHAPE, shape_of
+from racerl.gap.any_tyre import shape_of
 from racerl.gap.catalogue import of_the_world, starts
 from racerl.gap.checkpoint import Checkpoint
 from racerl.gap.decision import Decision
 from racerl.gap.evidence import COMMANDS, Evidence, channels_of
 from racerl.gap.fitted_model import COG, FittedModel
 from racerl.gap.hypotheses import calibrated, hypotheses
-from racerl.gap.investigation import Investigation, investigate
+from racerl.gap.investigation import SHAPE, Investigation, investigate
 from racerl.gap.locate import locate
 from racerl.gap.naming import name_effects
 from racerl.gap.numbers import as_configured, wrong_numbers

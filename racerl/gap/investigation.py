@@ -19,6 +19,7 @@ from racerl.vehicle.effects import Effect
 from racerl.vehicle.vehicle import Vehicle
 
 Array = NDArray[np.float64]
+SHAPE = "tyre_shape"
 Folds = Mapping[str, NDArray[np.bool_]]  # the windows of every stage that a fold holds out
 
 
@@ -28,8 +29,7 @@ class Investigation(FitData):
 
     `noise_errors` (T + 1, C, W) and their cost, `floor`, per stage, are what noise alone would leave of the nominal
     fit, `chance` the share by which that differs from one drive to another; `folds` the windows that each fold holds
-    out; `seed` that of noise and resamples, on which no fit depends; `shaped` whether the vehicle's tyre is of another
-    shape than its formula's.
+    out; `seed` that of noise and resamples, on which no fit depends.
     """
 
     nominal: Nominal
@@ -38,12 +38,16 @@ class Investigation(FitData):
     chance: Mapping[str, float]
     folds: Sequence[Folds]
     seed: int
-    shaped: bool = False
 
     @property
     def base(self) -> FittedModel:
         """The vehicle without further effects, fitted."""
         return self.nominal.model
+
+    @property
+    def shaped(self) -> bool:
+        """Whether the vehicle's tyre is of another shape than its formula's."""
+        return SHAPE in self.vehicle.effects
 
     def cost(self, found: FittedModel, stage: str) -> Array:
         """Return a fit's cost per window of a stage; the nominal one where its effects do not touch it."""

@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 
 import racerl.gap.any_tyre as any_tyre
-from racerl.gap.any_tyre import LARGE, SHAPE, shape_of
+from racerl.gap.any_tyre import LARGE, shape_of
 from racerl.gap.diagnose import gap
+from racerl.gap.investigation import SHAPE
 from racerl.gap.naming import name_effects
 from racerl.gap.verdict import judge
 from racerl.vehicle.effects.tyre_shape import TyreShape
 from racerl.vehicle.load import load_vehicle
 from racerl.vehicle.parameter import values
-from tests.gap.conftest import drive, investigate, settings_for
+from tests.gap.conftest import configured, drive, investigate, settings_for
 
 WORDS = [f"+vehicle.effects.{SHAPE}.{name}={value}" for name, value in (("kappa", 0.1), ("alpha", 0.1))]
 
@@ -66,3 +67,13 @@ def test_an_effect_is_found_beside_a_shape():
     decision = name_effects(investigate(log, "yaw_damping", "longitudinal_load_transfer", "aero_drag"))
     assert decision.investigation.shaped and decision.chosen == ["yaw_damping"]
     assert float(decision.found.vehicle.effects["yaw_damping"].coefficient) == pytest.approx(0.3, rel=0.1)
+
+
+def test_a_vehicle_that_has_a_shape_keeps_it(foreign):
+    shape = TyreShape(kappa=0.1, alpha=0.1, aside_drive=-0.4, aside_turn_drive=0.4)
+    vehicle = replace(configured()[0], effects={SHAPE: shape})
+    investigation = investigate(foreign, "yaw_damping", vehicle=vehicle)
+    decision = name_effects(investigation)
+    assert investigation.shaped and decision.investigation is investigation and decision.chosen == []
+    assert list(decision.found.vehicle.effects) == [SHAPE]
+    assert float(decision.found.vehicle.effects[SHAPE].aside_drive) == pytest.approx(-0.4, rel=0.3)
