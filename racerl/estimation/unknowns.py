@@ -89,7 +89,7 @@ def choose_unknowns(vehicle: Vehicle, priors: Mapping[str, Any], hold: Sequence[
 
     `priors` maps name patterns to a deviation: a number or {share: …} is a share of the vehicle's value, {absolute: …}
     is in the parameter's unit, null holds it; `within` beside it narrows the bounds, as far as the vehicle lies inside.
-    The last pattern that fits a name decides. Raises ConfigError.
+    The last pattern that fits a name decides; what an effect takes for known stays. Raises ConfigError.
     """
     table = {name: float(value) for name, value in values(vehicle).items()}
     priors = dict(_flat(priors))
@@ -107,7 +107,8 @@ def choose_unknowns(vehicle: Vehicle, priors: Mapping[str, Any], hold: Sequence[
     for pattern in hold:
         for name in fnmatch.filter(table, pattern):
             sigma[name] = 0.0
-    names = tuple(name for name in table if sigma.get(name, 0.0) > 0.0)
+    fixed = {f"effects.{name}.{key}" for name, effect in vehicle.effects.items() for key in effect.known}
+    names = tuple(name for name in table if sigma.get(name, 0.0) > 0.0 and name not in fixed)
     if not names:
         raise ConfigError("every parameter is held; free some in priors, for instance priors.yaw_inertia=0.2")
     return Unknowns(

@@ -76,4 +76,5 @@ def test_a_vehicle_that_has_a_shape_keeps_it(foreign):
     decision = name_effects(investigation)
     assert investigation.shaped and decision.investigation is investigation and decision.chosen == []
     assert list(decision.found.vehicle.effects) == [SHAPE]
-    assert float(decision.found.vehicle.effects[SHAPE].aside_drive) == pytest.approx(-0.4, rel=0.3)
+    fitted = decision.found.vehicle.effects[SHAPE]
+    assert float(fitted.aside_drive) == pytest.approx(-0.4, rel=0.3) and fitted.kappa == shape.kappa
