@@ -29,6 +29,7 @@ WORTH = 0.04  # share of the first excess, and of what is left of it before the 
 # excess over the noise's cost that clean cars of other formulas leave of the refit: up to 12 % of two on Dugoff tyres
 FOREIGN = 0.15
 REMAINDER = 0.05  # of the noise's cost, that an effect must take of what a foreign tyre leaves
+FELT = 0.01  # of the noise's cost, that an effect must take: nobody misses less, however sure it is
 REAL = 0.05  # excess cost over the noise's that is real: the noise itself is known to a few percent
 TYRES = "chassis"  # the stage that has tyres
 ALL, SMALL = 0.75, 0.01  # shares of what is left, and of the first excess, that are not an earlier effect's wrong form
@@ -100,14 +101,15 @@ class CandidateScore:
         A small one beside a large one has to explain most of what that one leaves, and not look like it. Where the
         excess is no larger than the noise is known, shares of it say nothing, and one effect has to gain the more.
         Where the fit is at the noise, what held-out windows cost beyond it is what their folds know too badly. Of a
-        tyre of another formula something stays that an effect of the motion may take for its own.
+        tyre of another formula something stays that an effect of the motion may take for its own; and every car is a
+        trifle away from its model.
         """
         small = self.explained > ALL and self.worth > SMALL and self.before > REAL and self.like < LIKE
         sure = self.before < REAL and self.gain > SURE * self.error and self.found.effects == {self.name}
         left = self.before > 0.0 and self.explained >= WORTH and (self.worth >= WORTH or small)
         if self.foreign:
             sure, left = False, left and self.before > FOREIGN and self.fall > REMAINDER
-        return sure or (self.gain > errors * self.error and left)
+        return self.fall > FELT and (sure or (self.gain > errors * self.error and left))
 
 
 def excess(investigation: Investigation, cost: Mapping[str, Array], noise: Mapping[str, float]) -> float:

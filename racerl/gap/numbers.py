@@ -111,17 +111,18 @@ def _confirmed(gap: "_Gap", few: Numbers) -> tuple[Numbers, Numbers | None]:
 
 
 def _left_alone(gap: "_Gap", few: Numbers, around: Numbers) -> Numbers:
-    """Return a refit that leaves the numbers of body and actuators which it moved, but does not know, where they were.
+    """Return a refit that leaves the numbers of body and actuators where they were, at least those it does not know.
 
-    Not where held-out windows ask for them to move: on circles yaw inertia takes up what the tyres' formula leaves.
+    On circles yaw inertia takes up what the tyres' formula leaves: what moving it explains must be worth telling of.
     """
     was, ranges = few.found.theta, intervals(gap.investigation, around.found)
     moved = [name for name in ALONE if name in ranges and abs(ranges[name][0] / was[name] - 1.0) > SLIGHT]
-    held = [name for name in moved if ranges[name][1] <= was[name] <= ranges[name][2]]
-    if not held:
-        return around
-    still = gap.held_out(_refitted(gap, few, held))
-    return around if any(gap.gains(still, around, [stage]) for stage in gap.open) else still
+    unknown = [name for name in moved if ranges[name][1] <= was[name] <= ranges[name][2]]
+    for names in (moved, unknown):
+        still = gap.held_out(_refitted(gap, few, names)) if names else around
+        if gap.gain(still, around, gap.open) <= WORTH or not any(gap.gains(still, around, [s]) for s in gap.open):
+            return still
+    return around
 
 
 def _best(gap: "_Gap", few: Numbers) -> Numbers | None:

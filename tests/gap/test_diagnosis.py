@@ -539,7 +539,8 @@ def test_what_a_foreign_tyre_leaves_is_no_effects():
     assert some.needed and not dataclasses.replace(some, foreign=True).needed
     assert dataclasses.replace(some, foreign=True, before=0.3, fall=0.2).needed
     assert not dataclasses.replace(some, foreign=True, before=0.3, fall=0.02).needed
-    beyond_doubt = dataclasses.replace(some, before=0.02)
+    beyond_doubt = dataclasses.replace(some, before=0.02, fall=0.02)
+    assert not dataclasses.replace(beyond_doubt, fall=0.006).needed  # nobody misses so little
     assert beyond_doubt.needed and not dataclasses.replace(beyond_doubt, foreign=True).needed
 
 

@@ -141,24 +141,33 @@ def test_grip_is_what_the_tyres_give_whichever_coefficient_has_it():
     assert size("yaw_inertia", car) == table["yaw_inertia"]
 
 
-@pytest.mark.parametrize("asked_for, free", [(False, False), (True, True)])
-def test_what_a_refit_moves_but_does_not_know_stays_where_it_was(monkeypatch, asked_for, free):
-    """Unless held-out windows ask for it; what the refit knows, or hardly moved, is left to it."""
+@pytest.mark.parametrize(
+    ("gains", "held"),
+    [
+        ({}, ["yaw_inertia", "l_f"]),
+        ({"yaw_inertia+l_f": 0.02}, ["yaw_inertia", "l_f"]),  # clear, but not worth telling of
+        ({"yaw_inertia+l_f": 0.1}, ["yaw_inertia"]),  # what the refit knows may move
+        ({"yaw_inertia+l_f": 0.1, "yaw_inertia": 0.1}, []),
+    ],
+)
+def test_body_and_actuators_stay_where_they_were_unless_held_out_windows_ask_for_more(monkeypatch, gains, held):
     few = SimpleNamespace(found=SimpleNamespace(theta={"yaw_inertia": 0.12, "l_f": 0.16, "drive.time_constant": 0.04}))
     ranges = {
         "yaw_inertia": (0.10, 0.08, 0.13),
         "l_f": (0.17, 0.168, 0.172),
         "drive.time_constant": (0.0401, 0.03, 0.05),
     }
-    held = []
     monkeypatch.setattr(numbers_module, "intervals", lambda *_: ranges)
-    monkeypatch.setattr(numbers_module, "_refitted", lambda gap, few, names: held.extend(names) or "still")
+    monkeypatch.setattr(numbers_module, "_refitted", lambda gap, few, names: "+".join(names))
     gap = SimpleNamespace(
-        investigation=None, open=["chassis"], held_out=lambda found: found, gains=lambda *_: asked_for
+        investigation=None,
+        open=["chassis"],
+        held_out=lambda found: found,
+        gains=lambda still, *_: still in gains,
+        gain=lambda still, *_: gains.get(still, 0.0),
     )
     around = SimpleNamespace(found=None)
-    assert (numbers_module._left_alone(gap, few, around) is around) == free
-    assert held == ["yaw_inertia"]
+    assert numbers_module._left_alone(gap, few, around) == ("+".join(held) or around)
 
 
 def test_numbers_are_parameters_of_the_vehicle():
