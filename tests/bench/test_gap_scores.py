@@ -106,7 +106,7 @@ def test_wilson_intervals():
 
 
 def test_a_rule_is_fitted_to_what_the_rounds_of_cases_saw():
-    row = {"name": "yaw_damping", "gain": 9.0, "error": 1.0, "explained": 0.9, "fall": 0.5}
+    row = {"name": "yaw_damping", "needed": True, "gain": 9.0, "error": 1.0, "explained": 0.9, "fall": 0.5}
     row |= {"behind": 0.0, "leads": 1.0, "like": 0.0}
     left = {"held_out": {"chassis": 0.01}, "fit": {"chassis": 0.01}, "candidates": []}
     seen = [{"held_out": {"chassis": 0.6}, "fit": {"chassis": 0.6}, "candidates": [row]}, left]
