@@ -5,7 +5,6 @@ Another formula is a tyre's shape then, and no effect. Effects depend on time, p
 
 from collections.abc import Sequence
 from dataclasses import fields, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from racerl.estimation.unknowns import Unknown
 from racerl.gap.comparison import PARAMETER, REAL, TYRES, CandidateScore, Judge, excesses
 from racerl.gap.decision import Decision
-from racerl.gap.fit_data import FitData, kernels_of
+from racerl.gap.fit_data import kernels_of
 from racerl.gap.fitted_model import FittedModel, settled_fit, touched, with_effect
 from racerl.gap.investigation import SHAPE, Investigation, investigation_of
 from racerl.gap.nominal import Nominal
@@ -82,8 +81,7 @@ def _fitted(shaped: Investigation, found: FittedModel) -> FittedModel:
 
 def _settled(shaped: Investigation, model: FittedModel) -> Investigation:
     """Return the investigation by a nominal fit with the shape."""
-    given: dict[str, Any] = {field.name: getattr(shaped, field.name) for field in fields(FitData)}
-    data = FitData(**{**given, "strength": model.strength})
+    data = replace(shaped, strength=model.strength)
     return investigation_of(data, Nominal(model, shaped.nominal.met_twice), shaped.folds, shaped.seed)
 
 

@@ -118,7 +118,7 @@ def _left_alone(gap: "_Gap", few: Numbers, around: Numbers) -> Numbers:
     was, ranges = few.found.theta, intervals(gap.investigation, around.found)
     moved = [name for name in ALONE if name in ranges and abs(ranges[name][0] / was[name] - 1.0) > SLIGHT]
     unknown = [name for name in moved if ranges[name][1] <= was[name] <= ranges[name][2]]
-    for names in (moved, unknown):
+    for names in dict.fromkeys((tuple(moved), tuple(unknown))):
         still = gap.held_out(_refitted(gap, few, names)) if names else around
         if gap.gain(still, around, gap.open) <= WORTH or not any(gap.gains(still, around, [s]) for s in gap.open):
             return still
