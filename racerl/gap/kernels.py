@@ -22,7 +22,7 @@ class StageKernel:
         table = values(everything)
         inside = [name for name in table if name in free or ".effect." in name]
         presences = [name for name in table if name.endswith(".presence")]
-        inside = StageEquations(everything, [*inside, *presences], evidence.observed).effective()
+        inside = StageEquations(everything, [*inside, *presences], evidence.observed).effective
         # what is zero is left out of the kernel, except in effects; anything else may differ from car to car
         given = [name for name, v in table.items() if name not in inside and (float(v) != 0.0 or "effects." in name)]
         self.rollout = StageRollout(everything, [*inside, *SHIFTS], evidence.observed, given=given)
@@ -32,19 +32,17 @@ class StageKernel:
 class StageKernels:
     """The kernels of a stage, by the effects in them: none, one, all that leave it apart from other stages, or all.
 
-    Few effects make fast kernels, many spare the compiler: sets of two and more share one. Threads make different ones
-    at once, and wait for one that another makes.
+    Few effects make fast kernels, many spare the compiler: sets of two and more share one, and effects that do not act
+    in the stage are in none. Threads make different ones at once, and wait for one that another makes.
     """
 
     def __init__(
         self, evidence: Evidence, vehicle: Vehicle, free: Sequence[str], catalogue: Mapping[str, Effect]
     ) -> None:
-        alone = StageEquations(evidence.stage.vehicle(vehicle), [], evidence.observed).active
-        self._coupling = {
-            name
-            for name, effect in catalogue.items()
-            if not only_shifts(effect) and set(_active(evidence, vehicle, {name: effect})) & set(STATE) - set(alone)
-        }
+        alone = _acting(evidence, vehicle, {})
+        acting = {n: _acting(evidence, vehicle, {n: each}) for n, each in catalogue.items() if not only_shifts(each)}
+        self._idle = {name for name, (_, parameters) in acting.items() if not parameters}
+        self._coupling = {name for name, (states, _) in acting.items() if (states - alone[0]) & set(STATE)}
         self._make = lambda effects: StageKernel(evidence, vehicle, free, effects)
         self._catalogue, self._always = catalogue, set(vehicle.effects)
         self._made: dict[frozenset[str], StageKernel] = {}
@@ -52,7 +50,8 @@ class StageKernels:
 
     def choose(self, vehicle: Vehicle, *, whole: bool = False) -> StageKernel:
         """Return the least kernel that has all the vehicle's effects in it; `whole`: the one that has all there are."""
-        present = {n for n, effect in vehicle.effects.items() if n not in self._always and not only_shifts(effect)}
+        acting = (n for n, effect in vehicle.effects.items() if not only_shifts(effect))
+        present = {name for name in acting if name not in self._always and name not in self._idle}
         names, everything = frozenset(present), frozenset(self._catalogue)
         if whole or (len(present) > 1 and self._coupling & present):
             names = everything
@@ -65,6 +64,9 @@ class StageKernels:
         return self._made[names]
 
 
-def _active(evidence: Evidence, vehicle: Vehicle, effects: Mapping[str, Effect]) -> list[str]:
+def _acting(evidence: Evidence, vehicle: Vehicle, effects: Mapping[str, Effect]) -> tuple[set[str], set[str]]:
+    """Return the states that a stage of a vehicle with some effects depends on, and those of their parameters."""
     car = evidence.stage.vehicle(replace(vehicle, effects={**vehicle.effects, **effects}))
-    return StageEquations(car, [], evidence.observed).active
+    own = [name for name in values(car) if name.startswith("effects.") and name.split(".")[1] in effects]
+    equations = StageEquations(car, own, evidence.observed)
+    return set(equations.active), set(equations.effective)

@@ -133,7 +133,7 @@ def _unknowns(settings: Mapping[str, Any], vehicle: Vehicle, configured: Vehicle
     chosen = choose_unknowns(vehicle, settings["priors"], settings["hold"], configured)
     if not any(name.startswith("effects.") for name in chosen.names):
         return chosen
-    shown = Equations(vehicle, chosen.names, wiring.observed).effective()
+    shown = Equations(vehicle, chosen.names, wiring.observed).effective
     return chosen.only([name for name in chosen.names if name in shown or not name.startswith("effects.")])
 
 

@@ -147,7 +147,7 @@ def _actuators(whole: Task) -> Iterator[Task]:
 def own_parameters(vehicle: Vehicle, names: Sequence[str], state: str) -> list[str]:
     """Return those of `names` that a measured state answers to; none where other states of the car move it, too."""
     alone = Equations(vehicle, names, (state,))
-    return [] if set(alone.active) & (set(STATE) - {state}) else alone.effective()
+    return [] if set(alone.active) & (set(STATE) - {state}) else alone.effective
 
 
 def _weights(given: Mapping[str, Any], wiring: Wiring) -> Array:

@@ -339,8 +339,9 @@ def true_inputs(car: Vehicle, shown: Mapping[str, Any], ops: Ops) -> dict[str, A
 class Equations:
     """What is rolled out: a vehicle, `names` of its parameters that vary, and the channels `observed`.
 
-    `active` are the states that the observed ones depend on; no other is simulated. Parameters in `given` come
-    with each call behind those of `names`, without sensitivities, so that one kernel serves cars of other values.
+    `active` are the states that the observed ones depend on, no other is simulated; `effective` those of `names`.
+    Parameters in `given` come with each call behind those of `names`, without sensitivities, so that one kernel serves
+    cars of other values.
     """
 
     inputs = 2  # rows that drive the car: what its commands are
@@ -349,7 +350,7 @@ class Equations:
         self, vehicle: Vehicle, names: Sequence[str], observed: Sequence[str], given: Sequence[str] = ()
     ) -> None:
         self.vehicle, self.names, self.observed, self.given = vehicle, list(names), list(observed), list(given)
-        self.active = _active(self)
+        self.active, self.effective = _depended_on(self)
 
     def car(self, parameters: Sequence[Any]) -> Vehicle:
         """Return the vehicle with other values of `names` and `given`."""
@@ -365,17 +366,6 @@ class Equations:
         """Return the observed channels of a state's rows, as sensors show them."""
         shown = self.car(parameters).measured(dict(zip(self.vehicle.states, state, strict=True)), ops)
         return [shown[name] for name in self.observed]
-
-    @symbolic
-    def effective(self) -> list[str]:
-        """Return those of `names` that what is observed depends on."""
-        import casadi
-
-        _, _, p, f, y = _symbols(self)
-        rows = [self.vehicle.states.index(name) for name in self.active]
-        free = p[: len(self.names)]
-        found = casadi.jacobian(casadi.vertcat(f[rows], y), free).sparsity().get_triplet()[1]
-        return [name for i, name in enumerate(self.names) if i in set(found)]
 
 
 class Rollout(Equations):
@@ -582,16 +572,21 @@ def settle(vehicle: Vehicle, windows: Windows) -> None:
 
 
 @symbolic
-def _active(rollout: Equations) -> list[str]:
-    """Return the states that the observed channels depend on, in the vehicle's order."""
+def _depended_on(equations: Equations) -> tuple[list[str], list[str]]:
+    """Return the states that the observed channels depend on, in the vehicle's order, and those of `names`."""
     import casadi
 
-    x, _, _, f, y = _symbols(rollout)
-    rows, columns = casadi.jacobian(f, x).sparsity().get_triplet()
-    wanted = set(casadi.jacobian(y, x).sparsity().get_triplet()[1])
+    x, _, p, f, y = _symbols(equations)
+    rows, columns = casadi.jacobian_sparsity(f, x).get_triplet()
+    wanted = set(casadi.jacobian_sparsity(y, x).get_triplet()[1])
     while more := {j for i, j in zip(rows, columns, strict=True) if i in wanted} - wanted:
         wanted |= more
-    return [name for i, name in enumerate(rollout.vehicle.states) if i in wanted]
+    seen = casadi.vertcat(f[sorted(wanted)], y)
+    effective = set(casadi.jacobian_sparsity(seen, p[: len(equations.names)]).get_triplet()[1])
+    return (
+        [name for i, name in enumerate(equations.vehicle.states) if i in wanted],
+        [name for i, name in enumerate(equations.names) if i in effective],
+    )
 
 
 @symbolic

@@ -413,6 +413,23 @@ def test_a_tyres_shape_multiplies_forces_by_its_factors():
     assert (after.F_zf, after.F_zr) == (before.F_zf, before.F_zr)
 
 
+def test_a_tyres_shape_takes_slips_over_another_speed():
+    plain, surface = (make_car("vehicle=published"), make_car("vehicle=published"))
+    surface = dataclasses.replace(surface, effects={"tyre_shape": TyreShape(kappa=0.05, alpha=0.1, slip_drive=1.0)})
+    state, command = random_states(plain, 400)
+    motion = plain.motion(state)
+    slips = plain.slips(motion, TORCH)
+    over = surface.effects["tyre_shape"].slip(slips, motion, TORCH)
+    for kappa, alpha, its_kappa, its_alpha in ((*slips[:2], *over[:2]), (*slips[2:], *over[2:])):
+        near = kappa.abs() < 0.3  # there it is slip over the wheel's own speed, κ/(1 + κ)
+        assert near.any() and torch.allclose(its_kappa[near], kappa[near] / (1.0 + kappa[near]), rtol=0.01)
+        assert torch.allclose(its_alpha[near], alpha[near] / (1.0 + kappa[near]), rtol=0.01)
+        share = its_kappa / kappa  # between these however a wheel turns
+        assert float(share.max()) < math.exp(2.0) and float(share.min()) > math.exp(-math.sqrt(2.0))
+    moved = surface.derivative(state, command, TORCH) - plain.derivative(state, command, TORCH)
+    assert float(moved.abs().max()) > 1e-3
+
+
 def test_a_tyres_shape_is_no_effect_of_the_catalogue_and_none_of_any_side():
     assert "tyre_shape" not in catalogue.names()
     car = dataclasses.replace(make_car("vehicle=published"), effects={"tyre_shape": SHAPE})

@@ -1,9 +1,12 @@
-"""A tyre of another formula: smooth deviations of its forces from the Magic Formula, alike on both axles.
+"""A tyre of another formula: smooth deviations of slips and forces from the Magic Formula's, alike on both axles.
 
-Formula: F_x (1 + a_1 p + a_2 p² + (a_3 + a_4 p + a_5 q) q), F_y (1 + b_1 p + b_2 p² + (b_3 + b_4 p + b_5 q) q) with the
+Formula: κ e^{−c l} and α* e^{−c l} in place of κ and α*, with l = κ/√(1 + κ + κ²/2), which is near ln(1 + κ) and stays
+    between −2 and √2: for c = 1 slips over the wheel's speed instead of the ground's. Then the forces
+    F_x (1 + a_1 p + a_2 p² + (a_3 + a_4 p + a_5 q) q) and F_y (1 + b_1 p + b_2 p² + (b_3 + b_4 p + b_5 q) q) with the
     slips σ_x = κ/κ_0, σ_y = α*/α_0, p = σ_x/√(1 + σ_x² + σ_y²) and q = σ_y²/(1 + σ_x² + σ_y²).
 Source: a regression over bounded slips, even in the sideways one; the factors stay within ½ of 1 by tanh.
-In data: forces under combined slip that no cosine weight gives, whatever time, place and history.
+In data: forces that differ between driving and braking, or that no cosine weight gives under combined slip, whatever
+    time, place and history.
 Excited by: braking and power on in turns.
 Confused with: nothing that depends on time, place, side, speed or load.
 """
@@ -32,6 +35,7 @@ class TyreShape(Effect):
 
     kappa: Scalar = parameter("", 1e-3, 1.0, "κ_0, slip ratio that counts as large", 0.1)
     alpha: Scalar = parameter("", 1e-3, 1.0, "α_0, slip sideways that counts as large", 0.1)
+    slip_drive: Scalar = _weight("c: slips when driving, less; when braking, more")
     ahead_drive: Scalar = _weight("a_1: F_x when driving, less when braking")
     ahead_slip: Scalar = _weight("a_2: F_x at slip ahead")
     ahead_turn: Scalar = _weight("a_3: F_x at slip sideways")
@@ -45,6 +49,11 @@ class TyreShape(Effect):
 
     physical: ClassVar[bool] = False
     known: ClassVar[tuple[str, ...]] = ("kappa", "alpha")
+
+    def slip(self, slips: "Slips", motion: "Motion", ops: Ops) -> "Slips":
+        """Take both axles' slips over another speed."""
+        front, rear = (ops.exp(-self.slip_drive * _logarithm(kappa, ops)) for kappa in (slips.kappa_f, slips.kappa_r))
+        return type(slips)(slips.kappa_f * front, slips.alpha_f * front, slips.kappa_r * rear, slips.alpha_r * rear)
 
     def tyre(self, forces: "Forces", slips: "Slips", motion: "Motion", ops: Ops) -> "Forces":
         """Multiply both axles' forces."""
@@ -66,3 +75,8 @@ class TyreShape(Effect):
         aside = self.aside_drive * p + self.aside_slip * p * p
         aside = aside + (self.aside_turn + self.aside_turn_drive * p + self.aside_turn_2 * q) * q
         return 1.0 + MOST * ops.tanh(ahead / MOST), 1.0 + MOST * ops.tanh(aside / MOST)
+
+
+def _logarithm(kappa: Scalar, ops: Ops) -> Scalar:
+    """Return ln(1 + κ) for small κ, bounded and smooth wherever a wheel turns."""
+    return kappa / ops.sqrt(1.0 + kappa + 0.5 * kappa * kappa)
