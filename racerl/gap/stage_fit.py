@@ -33,7 +33,7 @@ class StageFit:
         self.problem, self.index = problem, index
         self.windows = self._cut(theta)
         self.initial = self.windows.initial.copy()
-        if problem.vehicle.states != STATE:
+        if set(problem.vehicle.states) & set(problem.rollout.vehicle.states) - set(STATE):
             self._followed = (problem.at(theta) if problem.names else problem).own_states
             self.initial[len(STATE) :] = self._starts(self._followed)
         states = problem.rollout.vehicle.states
