@@ -10,7 +10,7 @@ from racerl.vehicle.effects import Effect
 from racerl.vehicle.parameter import replace_values
 from racerl.vehicle.vehicle import Vehicle
 
-FIRST = 3  # steps of a candidate's first fit
+FIRST = 6  # steps of a candidate's first fit
 RESTING = 8  # most steps of initial states alone
 
 

@@ -26,7 +26,7 @@ from racerl.vehicle.parameter import replace_values, values
 from racerl.vehicle.vehicle import Vehicle
 
 Array = NDArray[np.float64]
-STEPS = 3  # of a fit on a share of the windows
+STEPS = 5  # of a fit on a share of the windows: fewer may lead from a usual size to nothing better yet
 ASTRAY = 1.3  # times the noise's cost, beyond which a fit says little of the parameters
 LOST = 5.0  # times the noise's cost, beyond which a fit says nothing of what is missing
 HOPELESS = 30.0  # first-order gain, a χ², below which no effect is worth a fit

@@ -233,6 +233,25 @@ def test_gradients_of_a_stage_are_those_of_its_cost(clean, stage, effect, names)
         assert got == pytest.approx((up - down) / (4 * step), rel=0.15 if name.endswith("latency") else 1e-3)
 
 
+@needs_compiler
+def test_an_effect_that_does_not_act_in_a_stage_is_not_in_its_kernel(clean):
+    car, plain = make_car("+vehicle/effect=[steering_second_order,aero_drag]"), make_car()
+    evidence = Evidence.of([clean], DRIVE, 40, 0.8)
+    kernels = StageKernels(evidence, plain, ["drive.time_constant"], car.effects)
+    assert kernels.choose(car) is kernels.choose(plain)
+    chassis = StageKernels(Evidence.of([clean], CHASSIS, 40, 0.8), plain, [], car.effects)
+    assert set(chassis.choose(car).catalogue) == {"aero_drag"}
+    # states of its own are nobody's there, and the stage's fit is the one without the effect
+    unknowns, sigma = [Unknown("drive.time_constant", 0.05, 1.0, 0.001, 1.0)], np.full(len(evidence.observed), 0.01)
+    fits = [
+        Problem([StageProblem.of(evidence, kernels, each, unknowns, sigma)], unknowns).fit(
+            {"drive.time_constant": 0.05}
+        )
+        for each in (plain, car)
+    ]
+    assert fits[0].theta == fits[1].theta and np.array_equal(fits[0].cost[0], fits[1].cost[0])
+
+
 def inertia_problem(log):
     """Return a fit of the chassis with one unknown, the yaw inertia."""
     evidence, car = Evidence.of([log], CHASSIS, 40, 0.8), make_car("vehicle=published")
