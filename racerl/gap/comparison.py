@@ -26,6 +26,9 @@ EQUAL = 0.05  # share of the excess that a rival may explain less
 PARAMETER = 0.01  # share of the excess that one more parameter must explain
 WILD, TYPICAL = 30.0, 10.0  # mean squared deviation of a wild window, and its cost in median ones
 WORTH = 0.04  # share of the first excess, and of what is left of it before the round, that an effect must explain
+# excess over the noise's cost that clean cars of other formulas leave of the refit: up to 2 % of five on Burckhardt and
+# TMsimple tyres, 6 % of one on Dugoff tyres
+FOREIGN = 0.1
 REMAINDER = 0.03  # of the noise's cost, that an effect must take of what a foreign tyre leaves
 FELT = 0.01  # of the noise's cost, that an effect must take: nobody misses less, however sure it is
 REAL = 0.05  # excess cost over the noise's that is real: the noise itself is known to a few percent
@@ -106,7 +109,7 @@ class CandidateScore:
         sure = self.before < REAL and self.gain > SURE * self.error and self.found.effects == {self.name}
         left = self.before > 0.0 and self.explained >= WORTH and (self.worth >= WORTH or small)
         if self.foreign:
-            sure, left = False, left and self.before > REAL and self.fall > REMAINDER
+            sure, left = False, left and self.before > FOREIGN and self.fall > REMAINDER
         return self.fall > FELT and (sure or (self.gain > errors * self.error and left))
 
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from racerl.gap.comparison import BEHIND, REAL, CandidateScore, equals, excesses, total
+from racerl.gap.comparison import BEHIND, FOREIGN, REAL, CandidateScore, equals, excesses, total
 from racerl.gap.decision import Decision
 from racerl.gap.fitted_model import touched
 from racerl.gap.investigation import Investigation
@@ -61,7 +61,7 @@ def judge(investigation: Investigation, decision: Decision) -> Verdict:
             return Verdict("under_excited", (), (), blind, reason)
         reason = "the refitted vehicle reaches the noise"
         if investigation.shaped:
-            reason = f"on a tyre of another shape than its formula's the refitted vehicle is within {REAL:.0%} of it"
+            reason = f"on a tyre of another shape than its formula's the refitted vehicle is within {FOREIGN:.0%} of it"
         return Verdict("none", (), (), blind, reason)
     explain = "explains" if len(effects) == 1 else "explain"
     if stage:
@@ -70,7 +70,7 @@ def judge(investigation: Investigation, decision: Decision) -> Verdict:
     moved = touched(investigation, decision.found.vehicle, effects)  # elsewhere an excess is chance
     had, rest = (total(parts[stage] for stage in moved) for parts in (before, after))
     share = 1.0 - rest / max(had, 1e-9)
-    foreign = investigation.shaped and rest < REAL * sum(decision.noise[stage] for stage in moved)
+    foreign = investigation.shaped and rest < FOREIGN * sum(decision.noise[stage] for stage in moved)
     if (
         share < CREDIBLE
         and not foreign
@@ -109,7 +109,7 @@ def open_stage(
     worst = ("", 0.0, 0.0)
     for name, noise in decision.noise.items():
         left, first = after[name] / noise, before[name] / noise
-        real = max(REAL, CHANCE * investigation.chance[name])
+        real = max(FOREIGN if investigation.shaped else REAL, CHANCE * investigation.chance[name])
         if decision.chosen and _coarse(investigation, decision, name, after[name]):
             continue
         may_stay = _may_stay(investigation, decision, name) * first if decision.chosen else 0.0
