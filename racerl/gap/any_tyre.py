@@ -13,16 +13,15 @@ from racerl.estimation.unknowns import Unknown
 from racerl.gap.comparison import PARAMETER, REAL, TYRES, CandidateScore, Judge, excesses
 from racerl.gap.decision import Decision
 from racerl.gap.fit_data import kernels_of
-from racerl.gap.fitted_model import FittedModel, settled_fit, touched, with_effect
+from racerl.gap.fitted_model import FittedModel, better_half_way, settled_fit, touched, with_effect
 from racerl.gap.investigation import SHAPE, Investigation, investigation_of
-from racerl.gap.nominal import Nominal, loss
+from racerl.gap.nominal import Nominal
 from racerl.vehicle.effects.tyre_shape import TyreShape
-from racerl.vehicle.parameter import replace_values, specifications, values
+from racerl.vehicle.parameter import specifications, values
 from racerl.vehicle.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 SIZE = len(fields(TyreShape)) - len(TyreShape.known)  # weights
-AXLES = ("front.", "rear.")  # tyres
 MOST = 0.5  # share of what is left that a shape must explain which explains little of the first excess
 SPREAD = 0.5  # deviation of the weights' priors
 LARGE = 0.4  # of D/K, from which on a slip counts as large: where formulas differ (one simulated car on Dugoff tyres)
@@ -74,21 +73,11 @@ def _with_weights(plain: Investigation) -> Investigation:
 
 
 def _fitted(shaped: Investigation, found: FittedModel) -> FittedModel:
-    """Return a fit of the shape over the stages that it and the effects touch, the better one from two starts.
-
-    From where a fit without it stands, and from there half of the way back to the tyres as configured: the formula's
-    coefficients had made up for the shape, and small steps do not undo that.
-    """
+    """Return a fit of the shape from where a fit without it stands, over the stages that they touch."""
     vehicle = with_effect(found.vehicle, SHAPE, shaped.vehicle.effects[SHAPE])
-    touching = [TYRES, *touched(shaped, vehicle, found.effects)] if found.effects else list(shaped.evidence)
-    stages = list(dict.fromkeys(touching))
-    first = settled_fit(shaped, found.effects, vehicle, found, stages=stages)
-    configured = values(shaped.vehicle)
-    between = {
-        name: 0.5 * (first.theta[name] + float(configured[name])) for name in configured if name.startswith(AXLES)
-    }
-    second = settled_fit(shaped, found.effects, replace_values(first.vehicle, between), first, stages=stages)
-    return min(first, second, key=lambda each: loss(shaped, each))
+    stages = [TYRES, *touched(shaped, vehicle, found.effects)] if found.effects else list(shaped.evidence)
+    fitted = settled_fit(shaped, found.effects, vehicle, found, stages=list(dict.fromkeys(stages)))
+    return better_half_way(shaped, fitted)
 
 
 def _settled(shaped: Investigation, model: FittedModel) -> Investigation:

@@ -102,14 +102,15 @@ class CandidateScore:
         A small one beside a large one has to explain most of what that one leaves, and not look like it. Where the
         excess is no larger than the noise is known, shares of it say nothing, and one effect has to gain the more.
         Where the fit is at the noise, what held-out windows cost beyond it is what their folds know too badly. Of a
-        tyre of another formula something stays that an effect of the motion may take for its own; and every car is a
-        trifle away from its model.
+        tyre of another formula something stays of which an effect of the motion may take a part for its own, but hardly
+        all; and every car is a trifle away from its model.
         """
         small = self.explained > ALL and self.worth > SMALL and self.before > REAL and self.like < LIKE
         sure = self.before < REAL and self.gain > SURE * self.error and self.found.effects == {self.name}
         left = self.before > 0.0 and self.explained >= WORTH and (self.worth >= WORTH or small)
         if self.foreign:
-            sure, left = False, left and self.before > FOREIGN and self.fall > REMAINDER
+            real = self.before > FOREIGN or self.explained > ALL
+            sure, left = False, left and real and self.fall > REMAINDER
         return self.fall > FELT and (sure or (self.gain > errors * self.error and left))
 
 

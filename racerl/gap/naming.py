@@ -14,7 +14,7 @@ from racerl.gap.cross_validation import held_out
 from racerl.gap.decision import Decision, carried, changed, passes_less_noise
 from racerl.gap.elimination import eliminated, settled
 from racerl.gap.features import features
-from racerl.gap.fitted_model import FittedModel
+from racerl.gap.fitted_model import FittedModel, better_half_way
 from racerl.gap.hypotheses import calibrated, in_doubt
 from racerl.gap.investigation import Investigation
 from racerl.gap.progress import OnProgress, silent, within
@@ -70,7 +70,7 @@ def _round(
 
     def scored(found: FittedModel) -> CandidateScore:
         (name,) = found.effects - current.effects
-        return judge.score(name, converged(investigation, found), decision)
+        return judge.score(name, better_half_way(investigation, converged(investigation, found)), decision)
 
     asked = shortlist(ahead, lost(investigation, current))
     tried = each(screened, asked, within(on_progress, 0.0, SCREENED))

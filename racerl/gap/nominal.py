@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from racerl.estimation.pseudo_huber import pseudo_huber
 from racerl.estimation.unknowns import Unknowns
 from racerl.gap.evidence import Evidence
 from racerl.gap.fit_data import FitData, sampled
-from racerl.gap.fitted_model import LONGEST, FittedModel, begun, fit_model, settled_fit
+from racerl.gap.fitted_model import LONGEST, FittedModel, begun, fit_model, loss, settled_fit
 from racerl.gap.stage_fit import StageFit
 from racerl.vehicle.parameter import replace_values
 from racerl.vehicle.vehicle import Vehicle
@@ -128,12 +127,6 @@ def settled_from(work: StageFit, initial: Array) -> tuple[Array, Array]:
     """Return the cost of every window (W,) from there, and where it begins once its state has settled, (S, W)."""
     work.initial = initial.copy()
     return work.settled(), work.initial
-
-
-def loss(data: FitData, found: FittedModel) -> float:
-    """Return the loss of a fit, its priors apart, n the noise's cost; infinite where a window blew up."""
-    parts = (float(pseudo_huber(part, data.evidence[name].numbers).sum()) for name, part in found.cost.items())
-    return float(np.nan_to_num(sum(parts), nan=np.inf))
 
 
 def _weighed(data: FitData, best: FittedModel) -> FitData:

@@ -3,9 +3,11 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import racerl.gap.any_tyre as any_tyre
+from racerl.data.log import Log
 from racerl.gap.any_tyre import LARGE, shape_of
 from racerl.gap.diagnose import gap
 from racerl.gap.investigation import SHAPE
@@ -15,6 +17,7 @@ from racerl.vehicle.effects.tyre_shape import TyreShape
 from racerl.vehicle.load import load_vehicle
 from racerl.vehicle.parameter import values
 from tests.gap.conftest import configured, drive, investigate, settings_for
+from tests.gap.plant.__main__ import main as simulate
 
 WORDS = [f"+vehicle.effects.{SHAPE}.{name}={value}" for name, value in (("kappa", 0.1), ("alpha", 0.1))]
 
@@ -49,6 +52,22 @@ def test_a_foreign_tyre_is_a_shape_and_no_effect(foreign):
 def test_no_shape_is_fitted_beside_an_effect_that_explains_all(damped, monkeypatch):
     monkeypatch.setattr(any_tyre, "_fitted", lambda *_: pytest.fail("fitted"))
     assert name_effects(investigate(damped, "yaw_damping", "aero_drag")).chosen == ["yaw_damping"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("tyre", "slip"), [("burckhardt", "larger"), ("tm_simple", "surface")])
+def test_a_clean_car_on_another_formulas_tyres_reaches_the_noise(tyre, slip, tmp_path):
+    words = ["--set", "clean", "--programmes", "excitation", "--noises", "1", "--seed", "777", "--limit", "1"]
+    simulate([str(tmp_path), *words, "--tyre", tyre, "--slip", slip])
+    (path,) = (tmp_path / "logs").iterdir()
+    plain = investigate(Log.from_table("foreign", pd.read_parquet(path)), "longitudinal_load_transfer", "roll_dynamics")
+    decision = name_effects(plain)
+    shaped = decision.investigation
+    assert decision.chosen == [] and judge(shaped, decision).kind == "none"
+    assert plain.base.cost["chassis"].sum() > 1.1 * plain.floor["chassis"]
+    assert shaped.base.cost["chassis"].sum() < 1.03 * shaped.floor["chassis"]
+    over = {"larger": (0.3, 1.0), "surface": (0.8, 1.2)}[slip]  # 1 for the wheel's speed, less for the larger of both
+    assert over[0] < shaped.base.theta[f"effects.{SHAPE}.slip_drive"] < over[1]
 
 
 @pytest.mark.slow
