@@ -9,6 +9,7 @@ import pytest
 
 from racerl.gap import nominal
 from racerl.gap.candidates import add, converged, everywhere, joined
+from racerl.gap.fitted_model import better_half_way
 from racerl.gap.screening import Screened, gainful, screen
 from racerl.gap.stage_fit import StageFit
 from racerl.vehicle.parameter import replace_values, values
@@ -119,6 +120,22 @@ def test_only_candidates_near_the_best_are_fitted_to_their_end(found):
     best = replace(found.base, cost={name: 0.7 * cost for name, cost in found.base.cost.items()})
     assert gainful(found, found.base, [worse, near, behind, best]) == [near, best]
     assert gainful(found, found.base, [worse]) == []
+
+
+def test_a_fit_is_the_better_one_of_two_starts(found, monkeypatch):
+    """The second start has the tyres half-way between fitted and configured, and all else as fitted."""
+    begun = []
+    for share, better in ((0.9, True), (1.1, False)):
+        other = replace(found.base, cost={name: share * cost for name, cost in found.base.cost.items()})
+        monkeypatch.setattr(
+            "racerl.gap.fitted_model.settled_fit",
+            lambda data, effects, vehicle, start, *, stages, other=other: begun.append(values(vehicle)) or other,
+        )
+        assert better_half_way(found, found.base) is (other if better else found.base)
+    fitted, given, start = values(found.base.vehicle), values(found.vehicle), begun[0]
+    assert given["front.p_Ky1"] != fitted["front.p_Ky1"]
+    assert float(start["front.p_Ky1"]) == pytest.approx(0.5 * (float(given["front.p_Ky1"]) + fitted["front.p_Ky1"]))
+    assert all(start[name] == fitted[name] for name in start if not name.startswith(("front.", "rear.")))
 
 
 def test_priors_are_as_strong_as_what_is_left_asks_for(clean, damped):
