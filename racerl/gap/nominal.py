@@ -14,7 +14,7 @@ from scipy.optimize import minimize_scalar
 from racerl.estimation.unknowns import Unknowns
 from racerl.gap.evidence import Evidence
 from racerl.gap.fit_data import FitData, sampled
-from racerl.gap.fitted_model import LONGEST, FittedModel, begun, fit_model, loss, settled_fit
+from racerl.gap.fitted_model import LONGEST, FittedModel, begun, better_half_way, fit_model, loss, settled_fit
 from racerl.gap.stage_fit import StageFit
 from racerl.vehicle.parameter import replace_values
 from racerl.vehicle.vehicle import Vehicle
@@ -96,7 +96,7 @@ def fit_nominal(data: FitData, starts: Sequence[Vehicle]) -> tuple[FitData, Nomi
             break
         best = other
     data = _weighed(data, best)
-    model = settled_fit(data, NOTHING, best.vehicle, best)
+    model = better_half_way(data, settled_fit(data, NOTHING, best.vehicle, best))
     return replace(data, strength=model.strength), Nominal(model, _met_twice(data, found))
 
 

@@ -33,7 +33,7 @@ HOPELESS = 30.0  # first-order gain, a χ², below which no effect is worth a fi
 PLACES, REACH = 2, 1.5  # of an effect that lies somewhere: places that fits start from, and their size in m
 SHORTLIST, CONTINUED = 8, 4  # candidates of each stage that are screened, and fitted to the end
 FAINT = 0.15  # of the most gain in screening, below which a candidate is given up
-BEHIND = 0.3  # of the most fall after a few steps, below which a candidate is not fitted to its end
+CLOSE = 0.3  # of the most fall after a few steps, below which a candidate is not fitted to its end
 FORETOLD, FIRST = 0.5, 2  # of the most first-order gain, above which so many are fitted whatever screening says
 
 
@@ -143,7 +143,7 @@ def gainful(investigation: Investigation, base: FittedModel, fits: Sequence[Fitt
         sum(_fall(investigation, stage, investigation.cost(base, stage), cost) for stage, cost in each.cost.items())
         for each in fits
     ]
-    least = BEHIND * max([0.0, *falls])
+    least = CLOSE * max([0.0, *falls])
     return [each for each, fall in zip(fits, falls, strict=True) if fall > least]
 
 
