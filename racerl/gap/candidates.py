@@ -4,7 +4,16 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from racerl.gap.fit_data import FitData
-from racerl.gap.fitted_model import COG, LONGEST, FittedModel, fit_model, settled_fit, touched, with_effect
+from racerl.gap.fitted_model import (
+    COG,
+    LONGEST,
+    FittedModel,
+    better_half_way,
+    fit_model,
+    settled_fit,
+    touched,
+    with_effect,
+)
 from racerl.gap.investigation import Investigation
 from racerl.vehicle.effects import Effect
 from racerl.vehicle.parameter import replace_values
@@ -48,7 +57,8 @@ def without(data: FitData, base: FittedModel, name: str) -> FittedModel:
 
 def everywhere(data: FitData, found: FittedModel) -> FittedModel:
     """Identify all parameters again, over all stages, with the effects of a fit."""
-    return settled_fit(data, found.effects, found.vehicle, found, stages=list(data.evidence))
+    again = settled_fit(data, found.effects, found.vehicle, found, stages=list(data.evidence))
+    return better_half_way(data, again)
 
 
 def unfitted(investigation: Investigation) -> FittedModel:

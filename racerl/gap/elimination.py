@@ -14,7 +14,6 @@ from racerl.gap.catalogue import PLACE, neutral, placed
 from racerl.gap.comparison import STAYS, CandidateScore, Judge, close
 from racerl.gap.decision import Decision, carried, changed, passes_less_noise
 from racerl.gap.evidence import Evidence
-from racerl.gap.fitted_model import FittedModel, better_half_way
 from racerl.gap.investigation import Investigation
 from racerl.gap.progress import OnProgress, silent
 from racerl.gap.uncertainty import intervals
@@ -37,7 +36,7 @@ def eliminated(judge: Judge, decision: Decision, on_progress: OnProgress = silen
 def _judged_again(judge: Judge, decision: Decision, name: str) -> Decision:
     """Judge an effect beside the others, and its rivals in its place: it stays, goes, or is exchanged."""
     investigation = judge.investigation
-    less = _ended(investigation, without(investigation, decision.found, name))
+    less = carried(investigation, without(investigation, decision.found, name))
     others = {other: rows for other, rows in decision.kept.items() if other != name}
     lacking = changed(investigation, decision, others, less)
     own = judge.score(name, decision.found, lacking)
@@ -62,12 +61,7 @@ def _instead(judge: Judge, lacking: Decision, rival: CandidateScore) -> Candidat
     investigation, effect = judge.investigation, rival.found.vehicle.effects[rival.name]
     vehicle = joined(investigation, lacking.found.vehicle, rival.name, effect)
     found = add(investigation, lacking.found, rival.name, vehicle)
-    return judge.score(rival.name, _ended(investigation, found), lacking)
-
-
-def _ended(investigation: Investigation, found: FittedModel) -> FittedModel:
-    """Return a fit carried on from both its starts, as those have been that it is compared with."""
-    return better_half_way(investigation, carried(investigation, found))
+    return judge.score(rival.name, carried(investigation, found), lacking)
 
 
 def settled(investigation: Investigation, decision: Decision) -> Decision:

@@ -68,9 +68,12 @@ def _round(
     def added(one: Screened) -> FittedModel:
         return add(investigation, current, one.name, one.vehicle)
 
-    def scored(found: FittedModel) -> CandidateScore:
+    def more(found: FittedModel) -> str:
         (name,) = found.effects - current.effects
-        return judge.score(name, better_half_way(investigation, converged(investigation, found)), decision)
+        return name
+
+    def scored(found: FittedModel) -> CandidateScore:
+        return judge.score(more(found), better_half_way(investigation, converged(investigation, found)), decision)
 
     asked = shortlist(ahead, lost(investigation, current))
     tried = each(screened, asked, within(on_progress, 0.0, SCREENED))
@@ -79,5 +82,5 @@ def _round(
     fitted = within(on_progress, SCREENED, FITTED)
     fits = each(added, list(chosen.values()), lambda one, share: fitted(one.name, share))
     scoring = within(on_progress, FITTED, 1.0)
-    rows = each(scored, gainful(investigation, current, fits), lambda found, share: scoring("held-out windows", share))
+    rows = each(scored, gainful(investigation, current, fits), lambda found, share: scoring(more(found), share))
     return judge.ranked(rows, decision.cost)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from racerl.estimation.pseudo_huber import pseudo_huber
 from racerl.gap.candidates import joined
 from racerl.gap.catalogue import placed
-from racerl.gap.fit_data import FEW, sampled
+from racerl.gap.fit_data import a_few
 from racerl.gap.fitted_model import COG, FittedModel, begun, fit_model, touched, unknowns_with
 from racerl.gap.growth import places
 from racerl.gap.investigation import Investigation
@@ -26,7 +26,8 @@ from racerl.vehicle.parameter import replace_values, values
 from racerl.vehicle.vehicle import Vehicle
 
 Array = NDArray[np.float64]
-STEPS = 5  # of a fit on a share of the windows: fewer may lead from a usual size to nothing better yet
+STEPS, FAR = 5, 15  # of a fit on a share of the windows, where the fit is near and where it is lost: fewer may lead to
+# nothing better yet
 ASTRAY = 1.3  # times the noise's cost, beyond which a fit says little of the parameters
 LOST = 5.0  # times the noise's cost, beyond which a fit says nothing of what is missing
 HOPELESS = 30.0  # first-order gain, a χ², below which no effect is worth a fit
@@ -108,13 +109,18 @@ def screen(
     stages = touched(investigation, likely[0], [name]) if likely else []
     if not stages:
         return None
-    best = max((_try(investigation, base, name, vehicle, stages) for vehicle in likely), key=lambda each: each.gain)
-    if beyond(investigation, base, stages) < ASTRAY:
+    cost = beyond(investigation, base, stages)
+    steps = FAR if cost > LOST else STEPS
+
+    def tried(vehicle: Vehicle) -> Screened:
+        return _try(investigation, base, name, vehicle, stages, steps)
+
+    best = max(map(tried, likely), key=lambda each: each.gain)
+    if cost < ASTRAY:
         return best
     configured = values(investigation.vehicle)
     own = {parameter: float(configured[parameter]) for parameter in investigation.determined(stages)}
-    again = _try(investigation, base, name, replace_values(best.vehicle, own), stages)
-    return max(best, again, key=lambda each: each.gain)
+    return max(best, tried(replace_values(best.vehicle, own)), key=lambda each: each.gain)
 
 
 def beyond(investigation: Investigation, base: FittedModel, stages: Iterable[str]) -> float:
@@ -125,11 +131,11 @@ def beyond(investigation: Investigation, base: FittedModel, stages: Iterable[str
 
 
 def _try(
-    investigation: Investigation, base: FittedModel, name: str, vehicle: Vehicle, stages: Sequence[str]
+    investigation: Investigation, base: FittedModel, name: str, vehicle: Vehicle, stages: Sequence[str], steps: int
 ) -> Screened:
     """Return where a few iterations on a share of the windows lead a vehicle with an effect more."""
-    some = sampled({name: investigation.evidence[name] for name in stages}, most=FEW)
-    found = fit_model(investigation, base.effects | {name}, vehicle, base, STEPS, stages=stages, index=some)
+    some = a_few({name: investigation.evidence[name] for name in stages})
+    found = fit_model(investigation, base.effects | {name}, vehicle, base, steps, stages=stages, index=some)
     gains = {
         stage: _fall(investigation, stage, investigation.cost(base, stage)[some[stage]], found.cost[stage])
         for stage in stages

@@ -98,7 +98,7 @@ def test_a_candidate_starts_anew_in_its_own_stages_only(found, monkeypatch):
     tried = []
     monkeypatch.setattr(
         "racerl.gap.screening._try",
-        lambda investigation, base, name, vehicle, stages: (
+        lambda investigation, base, name, vehicle, stages, steps: (
             tried.append(vehicle) or Screened(name, vehicle, 0.0, "drive")
         ),
     )
