@@ -22,7 +22,7 @@ from racerl.vehicle.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 SIZE = len(fields(TyreShape)) - len(TyreShape.known)  # weights
-MOST = 0.5  # share of what is left that a shape must explain which explains little of the first excess
+MOST = 0.5  # share of what is left that a shape must explain
 SPREAD = 0.5  # deviation of the weights' priors
 LARGE = 0.4  # of D/K, from which on a slip counts as large: where formulas differ (one simulated car on Dugoff tyres)
 
@@ -30,8 +30,8 @@ LARGE = 0.4  # of D/K, from which on a slip counts as large: where formulas diff
 def other_tyre(judge: Judge, decision: Decision, rows: Sequence[CandidateScore]) -> Investigation | None:
     """Return the investigation on a tyre of any shape where that comes before a round's candidates; else None.
 
-    The shape is a candidate with ten parameters, each of which must explain its share of the first excess, or all of
-    them most of what is left. It is not fitted beside an effect that it cannot come before.
+    The shape is a candidate that must explain most of what is left: a foreign tyre it explains nearly whole, but only a
+    part of an effect that has no name. It is not fitted beside an effect that it cannot come before.
     """
     plain = judge.investigation
     if plain.shaped or TYRES not in decision.cost:
@@ -44,7 +44,7 @@ def other_tyre(judge: Judge, decision: Decision, rows: Sequence[CandidateScore])
     shaped = _with_weights(plain)
     model = _fitted(shaped, decision.found)
     row = replace(judge, investigation=shaped).score(SHAPE, model, decision)
-    if not row.clear or (row.worth < PARAMETER * SIZE and row.explained < MOST):
+    if not row.clear or row.explained < MOST:
         return None
     if judge.ranked([*best, row], decision.cost)[0].name != SHAPE:
         return None
