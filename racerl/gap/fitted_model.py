@@ -45,6 +45,11 @@ class FittedModel:
     problem: Problem
     key: str  # of all that it came from
 
+    @property
+    def strain(self) -> float:
+        """What its parameters cost for being away from where the priors have them."""
+        return self.problem.prior(np.array([self.theta[name] for name in self.problem.names]))
+
     def errors(self) -> dict[str, Array]:
         """Return simulated − measured (T + 1, C, W) per stage that it was fitted to."""
         return {
@@ -164,7 +169,7 @@ def better_half_way(data: FitData, found: FittedModel) -> FittedModel:
         return found
     vehicle = replace_values(found.vehicle, between)
     other = settled_fit(data, found.effects, vehicle, found, stages=list(found.cost))
-    return min(found, other, key=lambda each: loss(data, each))
+    return min(found, other, key=lambda each: loss(data, each) + each.strain)
 
 
 def begun(stage: StageProblem, initial: Mapping[str, Mapping[str, Array]], index: Mapping[str, Index] | None) -> Array:
