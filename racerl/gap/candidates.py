@@ -4,23 +4,13 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from racerl.gap.fit_data import FitData
-from racerl.gap.fitted_model import (
-    COG,
-    LONGEST,
-    FittedModel,
-    better_half_way,
-    fit_model,
-    settled_fit,
-    touched,
-    with_effect,
-)
+from racerl.gap.fitted_model import COG, LONGEST, FittedModel, fit_model, settled_fit, touched, with_effect
 from racerl.gap.investigation import Investigation
 from racerl.vehicle.effects import Effect
 from racerl.vehicle.parameter import replace_values
 from racerl.vehicle.vehicle import Vehicle
 
-FIRST = 6  # steps of a candidate's first fit
-RESTING = 8  # most steps of initial states alone
+REFINE = 8  # most steps of a candidate's first fit
 
 
 def joined(data: FitData, vehicle: Vehicle, name: str, effect: Effect) -> Vehicle:
@@ -30,9 +20,9 @@ def joined(data: FitData, vehicle: Vehicle, name: str, effect: Effect) -> Vehicl
 
 
 def add(data: FitData, base: FittedModel, name: str, vehicle: Vehicle) -> FittedModel:
-    """Fit a vehicle with an effect more than a fitted one has, over the stages that they touch, for a few steps."""
+    """Fit a vehicle with an effect more than a fitted one has, over the stages that they touch."""
     effects = base.effects | {name}
-    return fit_model(data, effects, vehicle, base, FIRST, stages=touched(data, vehicle, effects))
+    return fit_model(data, effects, vehicle, base, REFINE, stages=touched(data, vehicle, effects))
 
 
 def converged(data: FitData, found: FittedModel) -> FittedModel:
@@ -57,10 +47,9 @@ def without(data: FitData, base: FittedModel, name: str) -> FittedModel:
 
 def everywhere(data: FitData, found: FittedModel) -> FittedModel:
     """Identify all parameters again, over all stages, with the effects of a fit."""
-    again = settled_fit(data, found.effects, found.vehicle, found, stages=list(data.evidence))
-    return better_half_way(data, again)
+    return settled_fit(data, found.effects, found.vehicle, found, stages=list(data.evidence))
 
 
 def unfitted(investigation: Investigation) -> FittedModel:
     """Return the vehicle as configured, with initial states fitted only."""
-    return fit_model(investigation, frozenset(), investigation.vehicle, investigation.base, RESTING, free=())
+    return fit_model(investigation, frozenset(), investigation.vehicle, investigation.base, REFINE, free=())

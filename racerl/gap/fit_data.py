@@ -17,8 +17,7 @@ from racerl.vehicle.effects import Effect
 from racerl.vehicle.vehicle import Vehicle
 
 Array = NDArray[np.float64]
-SAMPLED = 3  # every which window the nominal fit to the shortest windows looks at
-FEW = 60  # windows, up to twice as many, that tell which of many trials are worth a fit
+SAMPLED = 3  # every which window screening, and the nominal fit to the shortest windows, look at
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,11 +65,6 @@ def kernels_of(
     return {name: StageKernels(each, vehicle, free, any_size) for name, each in evidence.items()}
 
 
-def sampled(evidence: Mapping[str, Evidence], every: int) -> dict[str, NDArray[np.int64]]:
-    """Return a share of each stage's windows: every second, third …"""
-    return {name: np.arange(len(each.start))[::every] for name, each in evidence.items()}
-
-
-def a_few(evidence: Mapping[str, Evidence]) -> dict[str, NDArray[np.int64]]:
-    """Return as few of each stage's windows as tell which of many trials are worth a fit."""
-    return {name: np.arange(len(each.start))[:: max(1, len(each.start) // FEW)] for name, each in evidence.items()}
+def sampled(evidence: Mapping[str, Evidence]) -> dict[str, NDArray[np.int64]]:
+    """Return a share of each stage's windows."""
+    return {name: np.arange(len(each.start))[::SAMPLED] for name, each in evidence.items()}

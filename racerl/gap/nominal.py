@@ -13,8 +13,8 @@ from scipy.optimize import minimize_scalar
 
 from racerl.estimation.unknowns import Unknowns
 from racerl.gap.evidence import Evidence
-from racerl.gap.fit_data import SAMPLED, FitData, sampled
-from racerl.gap.fitted_model import LONGEST, FittedModel, begun, better_half_way, fit_model, loss, settled_fit
+from racerl.gap.fit_data import FitData, sampled
+from racerl.gap.fitted_model import LONGEST, FittedModel, begun, fit_model, loss, settled_fit
 from racerl.gap.stage_fit import StageFit
 from racerl.vehicle.parameter import replace_values
 from racerl.vehicle.vehicle import Vehicle
@@ -96,7 +96,7 @@ def fit_nominal(data: FitData, starts: Sequence[Vehicle]) -> tuple[FitData, Nomi
             break
         best = other
     data = _weighed(data, best)
-    model = better_half_way(data, settled_fit(data, NOTHING, best.vehicle, best))
+    model = settled_fit(data, NOTHING, best.vehicle, best)
     return replace(data, strength=model.strength), Nominal(model, _met_twice(data, found))
 
 
@@ -145,7 +145,7 @@ def grown(data: FitData, vehicle: Vehicle) -> FittedModel:
     for length in GROWTH:
         shorter = _parted(data, length)
         if set(shorter) == set(data.evidence):
-            index = sampled(shorter, SAMPLED) if length == GROWTH[0] else None
+            index = sampled(shorter) if length == GROWTH[0] else None
             part = replace(data, evidence=shorter)
             found = settled_fit(part, NOTHING, vehicle, None, index=index, strength=strength)
             vehicle, strength = found.vehicle, found.strength

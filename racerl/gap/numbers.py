@@ -18,7 +18,7 @@ from racerl.gap.candidates import unfitted
 from racerl.gap.comparison import ALL, CLEAR, REAL, WORTH, Judge, total, wild
 from racerl.gap.configurable import NUMBERS
 from racerl.gap.cross_validation import held_out
-from racerl.gap.fit_data import a_few
+from racerl.gap.fit_data import sampled
 from racerl.gap.fitted_model import COG, LONGEST, FittedModel, fit_model, settled_fit, stages_with, unknowns_with
 from racerl.gap.investigation import Investigation
 from racerl.gap.progress import OnProgress, silent
@@ -291,7 +291,7 @@ class _Gap:
     def fall_in_a_few_steps(self, names: Sequence[str], start: Numbers) -> float:
         """Return by how much the loss of a share of the windows falls in a few steps of such a fit."""
         stages = self._stages(names)
-        some = a_few({stage: self.investigation.evidence[stage] for stage in stages})
+        some = sampled({stage: self.investigation.evidence[stage] for stage in stages})
         found = self._fit(names, start, stages, STEPS, some)
         return sum(self.fall_of(stage, start.cost[stage][some[stage]], found.cost[stage]) for stage in stages)
 
