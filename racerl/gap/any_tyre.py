@@ -30,8 +30,9 @@ LARGE = 0.4  # of D/K, from which on a slip counts as large: where formulas diff
 def other_tyre(judge: Judge, decision: Decision, rows: Sequence[CandidateScore]) -> Investigation | None:
     """Return the investigation on a tyre of any shape where that comes before a round's candidates; else None.
 
-    The shape is a candidate that must explain most of what is left: a foreign tyre it explains nearly whole, but only a
-    part of an effect that has no name. It is not fitted beside an effect that it cannot come before.
+    The shape is a candidate that must explain most of what is left or, beside effects found, its weights' shares of the
+    first excess: by itself it would take a part of an effect that has no name. It is not fitted beside an effect that
+    it cannot come before.
     """
     plain = judge.investigation
     if plain.shaped or TYRES not in decision.cost:
@@ -44,7 +45,8 @@ def other_tyre(judge: Judge, decision: Decision, rows: Sequence[CandidateScore])
     shaped = _with_weights(plain)
     model = _fitted(shaped, decision.found)
     row = replace(judge, investigation=shaped).score(SHAPE, model, decision)
-    if not row.clear or row.explained < MOST:
+    worth = bool(decision.chosen) and row.worth >= PARAMETER * SIZE
+    if not row.clear or not (worth or row.explained >= MOST):
         return None
     if judge.ranked([*best, row], decision.cost)[0].name != SHAPE:
         return None

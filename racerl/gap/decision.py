@@ -10,7 +10,7 @@ from racerl.gap.candidates import converged
 from racerl.gap.comparison import CLEAR, CandidateScore, Judge, Standing, excess
 from racerl.gap.cross_validation import held_out
 from racerl.gap.fit_data import FitData
-from racerl.gap.fitted_model import FittedModel
+from racerl.gap.fitted_model import FittedModel, better_half_way
 from racerl.gap.investigation import Investigation
 from racerl.gap.noise import noise_cost
 from racerl.gap.score import Score
@@ -51,10 +51,10 @@ def changed(
 
 
 def carried(data: FitData, found: FittedModel) -> FittedModel:
-    """Return a fit carried on: else any effect beside it gains by doing so."""
+    """Return a fit carried on, from both its starts: else any effect beside it gains by doing so."""
     for _ in range(CARRIED):
         found = converged(data, found)
-    return found
+    return better_half_way(data, found)
 
 
 def passes_less_noise(judge: Judge, decision: Decision, best: CandidateScore, errors: float = CLEAR) -> bool:

@@ -343,6 +343,7 @@ def test_effects_are_judged_again_beside_those_found_after_them(monkeypatch, sha
     monkeypatch.setattr("racerl.gap.decision.noise_cost", lambda *_: {"chassis": 0.0})
     monkeypatch.setattr("racerl.gap.decision.held_out", lambda investigation, found: found.cost)
     monkeypatch.setattr("racerl.gap.decision.converged", lambda investigation, found: found)
+    monkeypatch.setattr("racerl.gap.decision.better_half_way", lambda investigation, found: found)
     monkeypatch.setattr(elimination, "without", lambda investigation, found, name: fit(found.names - {name}))
     monkeypatch.setattr(elimination, "joined", lambda *_: None)
     monkeypatch.setattr(elimination, "add", lambda investigation, base, name, vehicle: fit(base.names | {name}))
