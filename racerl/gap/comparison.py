@@ -26,8 +26,8 @@ EQUAL = 0.05  # share of the excess that a rival may explain less
 PARAMETER = 0.01  # share of the excess that one more parameter must explain
 WILD, TYPICAL = 30.0, 10.0  # mean squared deviation of a wild window, and its cost in median ones
 WORTH = 0.04  # share of the first excess, and of what is left of it before the round, that an effect must explain
-# excess over the noise's cost that clean cars of other formulas leave of the refit: up to 2 % of five on Burckhardt and
-# TMsimple tyres, 6 % of one on Dugoff tyres
+# excess over the noise's cost that clean cars of other formulas leave of the refit: up to 1 % of seven on Burckhardt,
+# TMsimple and other slips, 5 and 9 % of two on Dugoff tyres
 FOREIGN = 0.1
 REMAINDER = 0.03  # of the noise's cost, that an effect must take of what a foreign tyre leaves
 FELT = 0.01  # of the noise's cost, that an effect must take: nobody misses less, however sure it is
