@@ -114,7 +114,8 @@ def _crossed(data: FitData, best: FittedModel, found: Sequence[FittedModel]) -> 
     """
     initial = {}
     for stage in best.problem.stages:
-        work, name = StageFit(stage.at(best.theta), {}, None), stage.evidence.stage.name
+        name = stage.evidence.stage.name
+        work = StageFit(stage.at(best.theta), {}, None, best.strength[name])
         others = [each for each in found if each is not best]
         ways = [settled_from(work, begun(stage, each.initial, None)) for each in (best, *others)]
         cost = np.nan_to_num([way[0] for way in ways], nan=np.inf)

@@ -1,13 +1,14 @@
 """What a fit of the gap workflow minimises: squared errors over the noise, summed over stages that share parameters.
 
     F(θ, x_0) = Σ_stages Σ_windows ρ(c) + Σ λ ((θ − θ_0)/s)²
-    c = Σ_c,t ((y − m)/σ_c)² + Σ_own ((x_0 − x̄_0)/s_0)²,    ρ(c) = 2√2 n (√(1 + c/n) − 1)
+    c = Σ_c,t ((y − m)/σ_c)² + Σ_own λ ((x_0 − x̄_0)/s_0)²,    ρ(c) = 2√2 n (√(1 + c/n) − 1)
 
 Every window has a free initial state x_0; the effects' own states begin near where the measured motion puts them. With
 n the cost of a usual window, ρ (pseudo-Huber) counts such windows by their cost and those that no vehicle foresees, a
 spin, by its root: they do not decide alone. Where the model leaves more than noise, N numbers that hang together are
-worth fewer: λ = max(1, F_data/N_independent) of a stage makes the priors of the vehicle's parameters in it as strong
-as they should be beside such data. Levenberg–Marquardt on the normal equations with windows weighted by ρ'(c), initial
+worth fewer: λ = max(1, F_data/N_independent) of a stage makes the priors of the vehicle's parameters in it, and of own
+states, as strong as they should be beside such data: else an effect with states of its own would explain anything by
+where every window begins. Levenberg–Marquardt on the normal equations with windows weighted by ρ'(c), initial
 states eliminated window by window.
 """
 
@@ -113,7 +114,10 @@ class Problem:
         tolerance: float = 1e-4,
     ) -> Fit:
         """Minimise F over some windows of each stage (all unless given), until it falls by less than `tolerance`."""
-        work = [StageFit(stage, theta, None if index is None else index[i]) for i, stage in enumerate(self.stages)]
+        work = [
+            StageFit(stage, theta, None if index is None else index[i], self.strength[i])
+            for i, stage in enumerate(self.stages)
+        ]
         for i, stage in enumerate(work):
             if initial is not None:
                 stage.take(theta, initial[i])
@@ -220,7 +224,7 @@ class Problem:
         step = moved - self._vector(fit)
         for i, (stage, line, mask) in enumerate(zip(self.stages, fit.lines, masks, strict=True)):
             if mask.any():
-                work = StageFit(there[i], {}, np.flatnonzero(mask))
+                work = StageFit(there[i], {}, np.flatnonzero(mask), self.strength[i])
                 kept = fit.initial[i][:, mask]
                 start = kept.copy()
                 start[work.rows] += line.follow(step[self.places(stage)], 0.0)[:, mask]

@@ -29,8 +29,11 @@ SETTLING, ENOUGH = 4, 0.01  # most steps of initial states alone; share of its c
 class StageFit:
     """A stage's windows in the course of a fit."""
 
-    def __init__(self, problem: StageProblem, theta: Mapping[str, float], index: NDArray[np.int64] | None) -> None:
-        self.problem, self.index = problem, index
+    def __init__(
+        self, problem: StageProblem, theta: Mapping[str, float], index: NDArray[np.int64] | None, strength: float = 1.0
+    ) -> None:
+        """`strength`: λ of the stage, by which effects' own states are held to where the motion puts them, too."""
+        self.problem, self.index, self._strength = problem, index, strength
         self.windows = self._cut(theta)
         self.initial = self.windows.initial.copy()
         if set(problem.vehicle.states) & set(problem.rollout.vehicle.states) - set(STATE):
@@ -65,7 +68,7 @@ class StageFit:
         effect, _, state = name.partition(".")
         told = state in self.problem.vehicle.effects[effect].told
         spread = FIXED if told else OWN_SPREAD * float(np.std(row)) + 1e-4
-        return spread**-2
+        return self._strength * spread**-2
 
     def take(self, theta: Mapping[str, float], initial: Array) -> None:
         """Start from states found before; from own ones, nan where unknown, if they fit better than the log so far."""
