@@ -32,6 +32,7 @@ from racerl.gap.verdict import judge
 from racerl.vehicle.ops import TORCH
 from racerl.vehicle.parameter import replace_values, values
 from racerl.vehicle.rollout import Windows
+from racerl.vehicle.vehicle import STATE
 from tests.gap.conftest import configured, drive, investigate
 from tests.vehicle.conftest import make_car, random_states
 
@@ -169,6 +170,26 @@ def test_a_parameter_that_states_remember_counts_with_what_it_did_before_the_win
     again = Problem([dataclasses.replace(problem, vehicle=replace_values(car, fit.theta))], unknowns)
     (now,), (before,) = again.fit(fit.theta, fit.initial, iterations=0).cost, fit.cost
     assert now.sum() == pytest.approx(before.sum(), rel=2e-3)
+
+
+@needs_compiler
+def test_where_windows_begin_explains_nothing_of_what_a_model_is_far_from(clean):
+    """A body that rolled before a window would else take up a floor that has less grip than the model's."""
+    evidence = Evidence.of([clean], CHASSIS, 40, 0.5)
+    car = make_car("vehicle=published", "vehicle.friction=1.2", "+vehicle/effect=roll_dynamics")
+    loss = Unknown("effects.roll_dynamics.loss", 0.02, 0.06, 0.0, 0.2, effect=True)
+    kernels = StageKernels(evidence, make_car("vehicle=published"), [], car.effects)
+    stage = StageProblem.of(evidence, kernels, car, [loss], evidence.noise())
+    theta = {loss.name: loss.start}
+    asked = Problem([stage], [loss]).fit(theta, iterations=0).strength
+    roll = stage.rollout.vehicle.states.index("roll_dynamics.roll")
+    away = []
+    for strength in ([1.0], asked):
+        fit = Problem([stage], [loss], strength).fit(theta, iterations=8)
+        told = stage.at(fit.theta).own_states[roll - len(STATE), evidence.start]
+        away.append(np.std(fit.initial[0][roll] - told) / np.std(told))
+    assert asked[0] > 100.0
+    assert away[1] < 0.1 < 1.0 < away[0]
 
 
 def test_a_lag_under_another_time_constant_is_that_of_the_same_input(clean):
