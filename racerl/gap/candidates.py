@@ -4,7 +4,17 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from racerl.gap.fit_data import FitData
-from racerl.gap.fitted_model import COG, LONGEST, FittedModel, fit_model, settled_fit, touched, with_effect
+from racerl.gap.fitted_model import (
+    COG,
+    LONGEST,
+    FittedModel,
+    better,
+    fit_model,
+    settled_fit,
+    touched,
+    unknowns_with,
+    with_effect,
+)
 from racerl.gap.investigation import Investigation
 from racerl.vehicle.effects import Effect
 from racerl.vehicle.parameter import replace_values
@@ -38,11 +48,19 @@ def again(data: FitData, found: FittedModel, changes: Mapping[str, float]) -> Fi
     return fit_model(data, found.effects, vehicle, found, LONGEST, stages=list(found.cost))
 
 
-def without(data: FitData, base: FittedModel, name: str) -> FittedModel:
-    """Fit a vehicle that lacks one effect of a fitted one, over the same stages."""
-    others = {key: effect for key, effect in base.vehicle.effects.items() if key != name}
-    vehicle = replace(base.vehicle, effects=others)
-    return settled_fit(data, base.effects - {name}, vehicle, base, stages=list(base.cost))
+def without(investigation: Investigation, found: FittedModel, name: str) -> FittedModel:
+    """Fit a vehicle that lacks one effect of a fitted one, over the same stages; return the better one of two starts.
+
+    Beside that effect the other parameters may have gone where no small step leads back from: they start as the nominal
+    fit has them, too.
+    """
+    others = {key: effect for key, effect in found.vehicle.effects.items() if key != name}
+    vehicle, effects, base = replace(found.vehicle, effects=others), found.effects - {name}, investigation.base
+    nominal = {u.name: base.theta[u.name] for u in unknowns_with(investigation, effects, vehicle) if not u.effect}
+    starts = (vehicle, found), (replace_values(vehicle, nominal), base)
+    return better(
+        investigation, *(settled_fit(investigation, effects, *start, stages=list(found.cost)) for start in starts)
+    )
 
 
 def everywhere(data: FitData, found: FittedModel) -> FittedModel:

@@ -157,6 +157,11 @@ def loss(data: FitData, found: FittedModel) -> float:
     return float(np.nan_to_num(sum(parts), nan=np.inf))
 
 
+def better(data: FitData, *fits: FittedModel) -> FittedModel:
+    """Return the best of some fits of one vehicle with its priors."""
+    return min(fits, key=lambda each: loss(data, each) + each.strain)
+
+
 def better_half_way(data: FitData, found: FittedModel) -> FittedModel:
     """Return the better one of a fit and of one that starts half of the way back to the tyres as configured.
 
@@ -168,8 +173,7 @@ def better_half_way(data: FitData, found: FittedModel) -> FittedModel:
     if not between:
         return found
     vehicle = replace_values(found.vehicle, between)
-    other = settled_fit(data, found.effects, vehicle, found, stages=list(found.cost))
-    return min(found, other, key=lambda each: loss(data, each) + each.strain)
+    return better(data, found, settled_fit(data, found.effects, vehicle, found, stages=list(found.cost)))
 
 
 def begun(stage: StageProblem, initial: Mapping[str, Mapping[str, Array]], index: Mapping[str, Index] | None) -> Array:

@@ -69,7 +69,9 @@ def judge(investigation: Investigation, decision: Decision) -> Verdict:
         return Verdict("unknown", effects, (), blind, reason)
     moved = touched(investigation, decision.found.vehicle, effects)  # elsewhere an excess is chance
     had, rest = (total(parts[stage] for stage in moved) for parts in (before, after))
-    share = 1.0 - rest / max(had, 1e-9)
+    if rest >= had:
+        return Verdict("unknown", effects, (), blind, f"{listed(effects)} {explain} nothing of the excess")
+    share = 1.0 - rest / had
     foreign = investigation.shaped and rest < FOREIGN * sum(decision.noise[stage] for stage in moved)
     if (
         share < CREDIBLE

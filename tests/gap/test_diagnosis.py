@@ -496,6 +496,7 @@ def test_the_next_manoeuvre_is_what_would_decide():
         (["aero_drag"], [1000.0, 20.0], "named"),
         (["aero_drag"], [1000.0, 540.0], "under_excited"),  # the little that is there is mostly something else
         (["aero_drag"], [9e6, 5e6], "named"),  # a real car, sensors that were filtered: noise is no yardstick
+        (["aero_drag"], [5e6, 9e6], "unknown"),  # nor is a name one that explains nothing
         ([], [100.0], "none"),
     ],
 )

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from racerl.gap import nominal
-from racerl.gap.candidates import add, converged, everywhere, joined
-from racerl.gap.fitted_model import better_half_way
+from racerl.gap.candidates import add, converged, everywhere, joined, without
+from racerl.gap.fitted_model import better_half_way, fit_model
 from racerl.gap.screening import Screened, screen
 from racerl.gap.stage_fit import StageFit
 from racerl.vehicle.parameter import replace_values, values
@@ -125,6 +125,16 @@ def test_a_fit_is_the_better_one_of_two_starts(found, monkeypatch):
     assert given["front.p_Ky1"] != fitted["front.p_Ky1"]
     assert float(start["front.p_Ky1"]) == pytest.approx(0.5 * (float(given["front.p_Ky1"]) + fitted["front.p_Ky1"]))
     assert all(start[name] == fitted[name] for name in start if not name.startswith(("front.", "rear.")))
+
+
+def test_what_is_left_without_an_effect_is_no_worse_than_the_nominal_fit(found):
+    """Beside a wild effect the tyres may have gone where small steps do not lead back from."""
+    gone = {f"{axle}.{name}": 0.1 for axle in ("front", "rear") for name in ("p_Dy1", "p_Dx1")}
+    damped = joined(found, found.base.vehicle, "yaw_damping", found.catalogue["yaw_damping"][0])
+    wild = fit_model(found, frozenset(["yaw_damping"]), replace_values(damped, gone), found.base, 0, stages=["chassis"])
+    best = found.base.cost["chassis"].sum()
+    assert wild.cost["chassis"].sum() > 100.0 * best
+    assert without(found, wild, "yaw_damping").cost["chassis"].sum() < 1.01 * best
 
 
 def test_priors_are_as_strong_as_what_is_left_asks_for(clean, damped):
