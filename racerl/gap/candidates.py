@@ -20,7 +20,8 @@ from racerl.vehicle.effects import Effect
 from racerl.vehicle.parameter import replace_values
 from racerl.vehicle.vehicle import Vehicle
 
-REFINE = 8  # most steps of a candidate's first fit
+FIRST = 6  # steps of a candidate's first fit
+RESTING = 8  # most steps of initial states alone
 
 
 def joined(data: FitData, vehicle: Vehicle, name: str, effect: Effect) -> Vehicle:
@@ -30,9 +31,9 @@ def joined(data: FitData, vehicle: Vehicle, name: str, effect: Effect) -> Vehicl
 
 
 def add(data: FitData, base: FittedModel, name: str, vehicle: Vehicle) -> FittedModel:
-    """Fit a vehicle with an effect more than a fitted one has, over the stages that they touch."""
+    """Fit a vehicle with an effect more than a fitted one has, over the stages that they touch, for a few steps."""
     effects = base.effects | {name}
-    return fit_model(data, effects, vehicle, base, REFINE, stages=touched(data, vehicle, effects))
+    return fit_model(data, effects, vehicle, base, FIRST, stages=touched(data, vehicle, effects))
 
 
 def converged(data: FitData, found: FittedModel) -> FittedModel:
@@ -70,4 +71,4 @@ def everywhere(data: FitData, found: FittedModel) -> FittedModel:
 
 def unfitted(investigation: Investigation) -> FittedModel:
     """Return the vehicle as configured, with initial states fitted only."""
-    return fit_model(investigation, frozenset(), investigation.vehicle, investigation.base, REFINE, free=())
+    return fit_model(investigation, frozenset(), investigation.vehicle, investigation.base, RESTING, free=())

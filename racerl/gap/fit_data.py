@@ -17,7 +17,8 @@ from racerl.vehicle.effects import Effect
 from racerl.vehicle.vehicle import Vehicle
 
 Array = NDArray[np.float64]
-SAMPLED = 3  # every which window screening, and the nominal fit to the shortest windows, look at
+SAMPLED = 3  # every which window trials, and the nominal fit to the shortest windows, look at
+FEW = 60  # windows, or little more, that tell which of many trials are worth a fit
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +66,7 @@ def kernels_of(
     return {name: StageKernels(each, vehicle, free, any_size) for name, each in evidence.items()}
 
 
-def sampled(evidence: Mapping[str, Evidence]) -> dict[str, NDArray[np.int64]]:
-    """Return a share of each stage's windows."""
-    return {name: np.arange(len(each.start))[::SAMPLED] for name, each in evidence.items()}
+def sampled(evidence: Mapping[str, Evidence], *, most: int | None = None) -> dict[str, NDArray[np.int64]]:
+    """Return a share of each stage's windows, `most` of them or little more."""
+    every = {name: max(SAMPLED, len(each.start) // most if most else 0) for name, each in evidence.items()}
+    return {name: np.arange(len(each.start))[:: every[name]] for name, each in evidence.items()}

@@ -14,16 +14,16 @@ from racerl.gap.cross_validation import held_out
 from racerl.gap.decision import Decision, carried, changed, passes_less_noise
 from racerl.gap.elimination import eliminated, settled
 from racerl.gap.features import features
+from racerl.gap.fitted_model import FittedModel
 from racerl.gap.hypotheses import calibrated, in_doubt
 from racerl.gap.investigation import Investigation
 from racerl.gap.progress import OnProgress, silent, within
 from racerl.gap.score import Score, summed
-from racerl.gap.screening import Screened, hopeful, lost, scores, screen, shortlist
+from racerl.gap.screening import Screened, gainful, hopeful, lost, scores, screen, shortlist
 
-CLOSE = 0.5  # of the most gain, above which a candidate's fit is carried on to its end
 ROUNDS = 4
 REVIEW = 0.9  # share of the naming behind which effects are judged again
-SCREENED, FITTED = 0.7, 0.95  # shares of a round behind which candidates are screened, and fitted
+SCREENED, FITTED = 0.5, 0.7  # shares of a round behind which candidates are screened, and begun to be fitted
 
 
 def name_effects(investigation: Investigation, on_progress: OnProgress = silent) -> Decision:
@@ -65,21 +65,19 @@ def _round(
         fitted = [row.found.vehicle.effects[name] for rows in decision.rounds for row in rows if row.name == name]
         return screen(investigation, current, name, fitted)
 
-    def added(one: Screened) -> CandidateScore:
-        return judge.score(one.name, add(investigation, current, one.name, one.vehicle), decision)
+    def added(one: Screened) -> FittedModel:
+        return add(investigation, current, one.name, one.vehicle)
+
+    def scored(found: FittedModel) -> CandidateScore:
+        (name,) = found.effects - current.effects
+        return judge.score(name, converged(investigation, found), decision)
 
     asked = shortlist(ahead, lost(investigation, current))
     tried = each(screened, asked, within(on_progress, 0.0, SCREENED))
     shown = [one for one in tried if one is not None]
     chosen = {one.name: one for stage, score in ahead.items() for one in hopeful(shown, score, stage)}
     fitted = within(on_progress, SCREENED, FITTED)
-    rows = each(added, list(chosen.values()), lambda one, share: fitted(one.name, share))
-    most = max((row.gain for row in rows), default=0.0)
-
-    def carried_on(row: CandidateScore) -> CandidateScore:
-        if row.gain <= max(CLOSE * most, row.error):
-            return row
-        return judge.score(row.name, converged(investigation, row.found), decision)
-
-    ended = within(on_progress, FITTED, 1.0)
-    return judge.ranked(each(carried_on, rows, lambda row, share: ended(row.name, share)), decision.cost)
+    fits = each(added, list(chosen.values()), lambda one, share: fitted(one.name, share))
+    scoring = within(on_progress, FITTED, 1.0)
+    rows = each(scored, gainful(investigation, current, fits), lambda found, share: scoring("held-out windows", share))
+    return judge.ranked(rows, decision.cost)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from racerl.estimation.pseudo_huber import pseudo_huber
 from racerl.gap.candidates import joined
 from racerl.gap.catalogue import placed
-from racerl.gap.fit_data import sampled
+from racerl.gap.fit_data import FEW, sampled
 from racerl.gap.fitted_model import COG, FittedModel, begun, fit_model, touched, unknowns_with
 from racerl.gap.growth import places
 from racerl.gap.investigation import Investigation
@@ -26,13 +26,14 @@ from racerl.vehicle.parameter import replace_values, values
 from racerl.vehicle.vehicle import Vehicle
 
 Array = NDArray[np.float64]
-STEPS = 3  # of a fit on a share of the windows
+STEPS = 5  # of a fit on a share of the windows: fewer may lead from a usual size to nothing better yet
 ASTRAY = 1.3  # times the noise's cost, beyond which a fit says little of the parameters
 LOST = 5.0  # times the noise's cost, beyond which a fit says nothing of what is missing
 HOPELESS = 30.0  # first-order gain, a χ², below which no effect is worth a fit
 PLACES, REACH = 2, 1.5  # of an effect that lies somewhere: places that fits start from, and their size in m
 SHORTLIST, CONTINUED = 8, 4  # candidates of each stage that are screened, and fitted to the end
 FAINT = 0.15  # of the most gain in screening, below which a candidate is given up
+BEHIND = 0.3  # of the most fall after a few steps, below which a candidate is not fitted to its end
 FORETOLD, FIRST = 0.5, 2  # of the most first-order gain, above which so many are fitted whatever screening says
 
 
@@ -98,8 +99,8 @@ def screen(
 ) -> Screened | None:
     """Add an effect to a fitted vehicle: a few steps from each of its usual sizes, on a share of the windows.
 
-    It starts as it was `fitted` beside fewer effects, too. Where the fit is astray, all parameters but the effects'
-    start as configured, too. Return the best; None where no stage shows the effect.
+    It starts as it was `fitted` beside fewer effects, too. Where the fit is astray, the best of these ends starts again
+    with all parameters but the effects' as configured. Return the best; None where no stage shows the effect.
     """
     likely = [
         joined(investigation, base.vehicle, name, each) for each in (*_likely(investigation, base, name), *fitted)
@@ -107,11 +108,13 @@ def screen(
     stages = touched(investigation, likely[0], [name]) if likely else []
     if not stages:
         return None
-    if beyond(investigation, base, stages) > ASTRAY:
-        configured = values(investigation.vehicle)
-        own = {name: float(configured[name]) for name in investigation.determined(stages)}
-        likely += [replace_values(vehicle, own) for vehicle in likely]
-    return max((_try(investigation, base, name, vehicle, stages) for vehicle in likely), key=lambda each: each.gain)
+    best = max((_try(investigation, base, name, vehicle, stages) for vehicle in likely), key=lambda each: each.gain)
+    if beyond(investigation, base, stages) < ASTRAY:
+        return best
+    configured = values(investigation.vehicle)
+    own = {parameter: float(configured[parameter]) for parameter in investigation.determined(stages)}
+    again = _try(investigation, base, name, replace_values(best.vehicle, own), stages)
+    return max(best, again, key=lambda each: each.gain)
 
 
 def beyond(investigation: Investigation, base: FittedModel, stages: Iterable[str]) -> float:
@@ -125,13 +128,23 @@ def _try(
     investigation: Investigation, base: FittedModel, name: str, vehicle: Vehicle, stages: Sequence[str]
 ) -> Screened:
     """Return where a few iterations on a share of the windows lead a vehicle with an effect more."""
-    some = sampled({name: investigation.evidence[name] for name in stages})
+    some = sampled({name: investigation.evidence[name] for name in stages}, most=FEW)
     found = fit_model(investigation, base.effects | {name}, vehicle, base, STEPS, stages=stages, index=some)
     gains = {
         stage: _fall(investigation, stage, investigation.cost(base, stage)[some[stage]], found.cost[stage])
         for stage in stages
     }
     return Screened(name, found.vehicle, sum(gains.values()), max(gains, key=lambda stage: gains[stage]))
+
+
+def gainful(investigation: Investigation, base: FittedModel, fits: Sequence[FittedModel]) -> list[FittedModel]:
+    """Return the fits by which the loss of all windows falls, and not by little beside the best: a few steps tell."""
+    falls = [
+        sum(_fall(investigation, stage, investigation.cost(base, stage), cost) for stage, cost in each.cost.items())
+        for each in fits
+    ]
+    least = BEHIND * max([0.0, *falls])
+    return [each for each, fall in zip(fits, falls, strict=True) if fall > least]
 
 
 def _fall(investigation: Investigation, stage: str, before: Array, after: Array) -> float:
