@@ -140,6 +140,15 @@ class Evidence:
             for column in (values, slopes)
         )
 
+    def late(self, column: Array, seconds: float) -> Array:
+        """Return a column (R,) that comes so many seconds later, held at the ends of each run."""
+        if seconds == 0.0:
+            return column
+        whole = int(np.floor(seconds / self.dt))
+        rows, share = np.arange(len(column)) - whole, seconds / self.dt - whole
+        newer, older = (column[np.clip(rows - k, self.first, self.last)] for k in (0, 1))
+        return newer + share * (older - newer)
+
     def _at(self, column: Array, rows: Index) -> Array:
         """Return a column at rows, held before the first and after the last row of each window's run."""
         ends = self.start[:, None]

@@ -2,14 +2,16 @@
 
 A window of a second says little of what warms up over a minute, or on which side a gap in the linkage lies; the log
 before it does. With the car's own states as measured, s' = s + (1 − h ∂f/∂s)⁻¹ h f(s): linearly implicit Euler, stable
-for fast lags. Between runs the car stands.
+for fast lags; an actuator that was not measured follows its command likewise. Between runs the car stands.
 """
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from racerl.gap.evidence import Evidence
+from racerl.gap.evidence import INSTEAD, Evidence
 from racerl.vehicle.actuator import Given
 from racerl.vehicle.ops import CasadiOps, symbolic
 from racerl.vehicle.vehicle import STATE, Vehicle
@@ -20,25 +22,34 @@ ROWS = 500  # of a log in one call
 
 
 @symbolic
-def follow(vehicle: Vehicle, evidence: Evidence) -> Array:
-    """Return the own states (S − 8, R) of a stage's vehicle at every row of its log."""
+def follow(vehicle: Vehicle, evidence: Evidence, shifts: Sequence[float] = (0.0, 0.0)) -> Array:
+    """Return the own states (S − 8, R) of a stage's vehicle at every row of its log, inputs so many seconds late."""
     import casadi
 
-    ops, own = CasadiOps(), len(vehicle.states) - AXES
-    s, body = casadi.SX.sym("s", own), casadi.SX.sym("body", AXES + 3)
-    state = casadi.vertcat(body[:AXES], s)
-    f = vehicle.derivative(state, body[AXES : AXES + 2], ops)[AXES:]
+    ops, hidden = CasadiOps(), _hidden(evidence)
+    rows = [*hidden, *range(AXES, len(vehicle.states))]
+    s, body = casadi.SX.sym("s", len(rows)), casadi.SX.sym("body", AXES + 3)
+    state = [body[i] for i in range(AXES)] + [s[i] for i in range(len(hidden), len(rows))]
+    for place, row in enumerate(hidden):
+        state[row] = s[place]
+    f = vehicle.derivative(casadi.vertcat(*state), body[AXES : AXES + 2], ops)[rows]
     h = body[AXES + 2]
-    step = casadi.solve(casadi.SX.eye(own) - h * casadi.jacobian(f, s), h * f)
+    step = casadi.solve(casadi.SX.eye(len(rows)) - h * casadi.jacobian(f, s), h * f)
     advance = casadi.Function("advance", [s, body], [s + step]).mapaccum("follow", ROWS)
-    measured = _measured(vehicle, evidence)
-    rows = measured.shape[1]
-    measured = np.pad(measured, ((0, 0), (0, -rows % ROWS)))  # by steps of no length
-    states = np.zeros((own, measured.shape[1] + 1))
-    for first in range(0, rows, ROWS):
+    measured = _measured(vehicle, evidence, shifts)
+    size = measured.shape[1]
+    measured = np.pad(measured, ((0, 0), (0, -size % ROWS)))  # by steps of no length
+    states = np.zeros((len(rows), measured.shape[1] + 1))
+    for first in range(0, size, ROWS):
         part = slice(first, first + ROWS)
         states[:, first + 1 : first + ROWS + 1] = advance(states[:, first], measured[:, part])
-    return states[:, :rows]
+    return states[len(hidden) :, :size]
+
+
+def _hidden(evidence: Evidence) -> list[int]:
+    """Return the rows of actuators of which only the command is known: they are followed as own states are."""
+    columns = evidence.columns
+    return [i for i, name in enumerate(STATE) if name not in columns and INSTEAD.get(name) in columns]
 
 
 def lagged(states: Array, evidence: Evidence, before: float, after: float) -> Array:
@@ -67,7 +78,7 @@ def _steps(evidence: Evidence) -> Array:
     return steps
 
 
-def _measured(vehicle: Vehicle, evidence: Evidence) -> Array:
+def _measured(vehicle: Vehicle, evidence: Evidence, shifts: Sequence[float]) -> Array:
     """Return the car's own states, its inputs and the time until the next row, (11, R)."""
     columns = {**evidence.columns, **{name: values for name, (values, _) in evidence.smoothed.items()}}
     table = np.zeros((AXES + 3, len(evidence.first)))
@@ -78,7 +89,7 @@ def _measured(vehicle: Vehicle, evidence: Evidence) -> Array:
     for i, (measured, command, actuator) in enumerate(inputs):
         name = measured if isinstance(actuator, Given) or command not in columns else command
         if name in columns:
-            table[AXES + i] = columns[name]
+            table[AXES + i] = evidence.late(columns[name], shifts[i])
     table[-1] = _steps(evidence)
     table[3:-1, np.flatnonzero(np.diff(evidence.first) != 0)] = 0.0  # until the next run the car stands
     return table

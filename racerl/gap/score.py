@@ -72,7 +72,7 @@ def score(
     columns = {f"effects.{name}.presence": name for name in absent if f"effects.{name}.presence" in rollout.names}
     windows = problem.windows(theta)
     windows.initial[: len(STATE)] = initial[: len(STATE)]
-    windows.initial[len(STATE) :] = follow(car, problem.evidence)[:, problem.evidence.start]
+    windows.initial[len(STATE) :] = follow(car, problem.evidence, problem.shifts(theta))[:, problem.evidence.start]
     present = [size + i for i, name in enumerate(rollout.active) if problem.has(name)]
     asked = [*range(size), *present]
     parts = rollout.accumulate(problem.parameters(theta), windows, columns=asked, silent=problem.silent())

@@ -144,7 +144,7 @@ class StageProblem:
     def own_states(self) -> Array:
         """The effects' own states along the log (S − 8, R), led by the measured motion."""
         car = self.evidence.stage.vehicle(self.vehicle)
-        followed = dict(zip(car.states[len(STATE) :], follow(car, self.evidence), strict=True))
+        followed = dict(zip(car.states[len(STATE) :], follow(car, self.evidence, self.shifts({})), strict=True))
         silent = np.zeros(len(self.evidence.first))
         return np.array([followed.get(name, silent) for name in self.rollout.vehicle.states[len(STATE) :]])
 

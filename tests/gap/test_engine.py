@@ -206,6 +206,20 @@ def test_a_lag_under_another_time_constant_is_that_of_the_same_input(clean):
     assert np.allclose(lagged(slow, evidence, 30.0, 30.0), slow, rtol=1e-9, atol=1e-12)
 
 
+def test_an_actuator_that_was_not_measured_is_led_by_its_command():
+    """How fast a servo turns is the same whether its angle was measured or follows from a command, and when."""
+    servo = ["+vehicle/effect=steering_second_order", "vehicle.effects.steering_second_order.frequency=15.0"]
+    log, vehicle = drive(*servo), make_car("vehicle=published", *servo)
+    measured = Evidence.of([log], STEERING, 40, 0.5)
+    early = log.table["delta_ref"].shift(-5).ffill()  # 0.05 s
+    table = log.table.drop(columns=["delta"]).assign(delta_ref=early)
+    stage = dataclasses.replace(CHASSIS, inputs=("delta_ref", "omega"))
+    unmeasured = Evidence.of([dataclasses.replace(log, table=table)], stage, 40, 0.5)
+    rate = follow(measured.stage.vehicle(vehicle), measured)[-1]
+    same, soon = (follow(stage.vehicle(vehicle), unmeasured, (late, 0.0))[-1] for late in (0.05, 0.0))
+    assert np.std(same - rate) < 0.2 * np.std(rate) < np.std(soon - rate)
+
+
 def test_states_are_led_by_the_whole_log(clean):
     evidence = Evidence.of([clean], CHASSIS, 40, 0.5)
     car = CHASSIS.vehicle(make_car("vehicle=published", "+vehicle/effect=[friction_fade,tyre_heating,tyre_relaxation]"))
