@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from racerl.estimation.unknowns import Unknown
 from racerl.gap.comparison import PARAMETER, REAL, TYRES, CandidateScore, Judge, excesses
 from racerl.gap.decision import Decision
-from racerl.gap.fit_data import kernels_of, sampled
+from racerl.gap.fit_data import kernels_of
 from racerl.gap.fitted_model import FittedModel, better_half_way, settled_fit, touched, with_effect
 from racerl.gap.investigation import SHAPE, Investigation, investigation_of
 from racerl.gap.nominal import Nominal
@@ -75,17 +75,11 @@ def _with_weights(plain: Investigation) -> Investigation:
 
 
 def _fitted(shaped: Investigation, found: FittedModel) -> FittedModel:
-    """Return a fit of the shape from where a fit without it stands, over the stages that they touch.
-
-    A share of the windows tells which of two starts is the better one.
-    """
+    """Return a fit of the shape from where a fit without it stands, over the stages that they touch."""
     vehicle = with_effect(found.vehicle, SHAPE, shaped.vehicle.effects[SHAPE])
-    touch = [TYRES, *touched(shaped, vehicle, found.effects)] if found.effects else list(shaped.evidence)
-    stages = list(dict.fromkeys(touch))
-    some = sampled({name: shaped.evidence[name] for name in stages})
-    tried = settled_fit(shaped, found.effects, vehicle, found, stages=stages, index=some)
-    best = better_half_way(shaped, tried, some, found)
-    return settled_fit(shaped, found.effects, best.vehicle, found, stages=stages)
+    stages = [TYRES, *touched(shaped, vehicle, found.effects)] if found.effects else list(shaped.evidence)
+    fitted = settled_fit(shaped, found.effects, vehicle, found, stages=list(dict.fromkeys(stages)))
+    return better_half_way(shaped, fitted)
 
 
 def _settled(shaped: Investigation, model: FittedModel) -> Investigation:

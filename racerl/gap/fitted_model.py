@@ -162,13 +162,10 @@ def better(data: FitData, *fits: FittedModel) -> FittedModel:
     return min(fits, key=lambda each: loss(data, each) + each.strain)
 
 
-def better_half_way(
-    data: FitData, found: FittedModel, index: Mapping[str, Index] | None = None, start: FittedModel | None = None
-) -> FittedModel:
+def better_half_way(data: FitData, found: FittedModel) -> FittedModel:
     """Return the better one of a fit and of one that starts half of the way back to the tyres as configured.
 
-    The formula's coefficients had made up for what the vehicle lacked before, and small steps do not undo that. Both
-    are of the windows of `index` if given, which begin as in `start`.
+    The formula's coefficients had made up for what the vehicle lacked before, and small steps do not undo that.
     """
     configured = {name: float(value) for name, value in values(data.vehicle).items()}
     free = [name for name in found.problem.names if name.startswith(AXLES)]
@@ -176,8 +173,7 @@ def better_half_way(
     if not between:
         return found
     vehicle = replace_values(found.vehicle, between)
-    other = settled_fit(data, found.effects, vehicle, start or found, stages=list(found.cost), index=index)
-    return better(data, found, other)
+    return better(data, found, settled_fit(data, found.effects, vehicle, found, stages=list(found.cost)))
 
 
 def begun(stage: StageProblem, initial: Mapping[str, Mapping[str, Array]], index: Mapping[str, Index] | None) -> Array:
