@@ -6,6 +6,7 @@ too; such a lap has no time but counts as driven. e_off = max(0, −margin), int
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -102,6 +103,7 @@ class LapTimer:
 def score(laps: Sequence[Lap]) -> dict[str, Any]:
     """Return the paper's measures over laps driven; a measure without a lap to take it from is None."""
     times = np.array([lap.time_s for lap in laps if lap.time_s is not None])
+    running = settled(laps)
     valid = [lap.time_s for lap in laps if lap.valid and lap.time_s is not None]
     driven = max(1, len(laps))
     return {
@@ -109,12 +111,22 @@ def score(laps: Sequence[Lap]) -> dict[str, Any]:
         "valid_laps": len(valid),
         "fastest_valid_lap_s": min(valid) if valid else None,
         "mean_lap_s": float(times.mean()) if len(times) else None,
+        "settled_lap_s": float(np.mean(running)) if running else None,
         "std_lap_s": float(times.std(ddof=1)) if len(times) > 1 else None,
         "mean_lap_ci95": mean_interval(laps),
         "e_off": sum(lap.e_off for lap in laps) / driven,
         "crash_share": sum(lap.crashed for lap in laps) / driven,
         "max_off_track_m": max((lap.max_off_track_m for lap in laps), default=0.0),
     }
+
+
+def settled(laps: Sequence[Lap]) -> list[float]:
+    """Return the times of the laps that follow another one: the first after a start is slow."""
+    return [
+        lap.time_s
+        for before, lap in pairwise(laps)
+        if before.car == lap.car and before.time_s is not None and lap.time_s is not None
+    ]
 
 
 def mean_interval(laps: Sequence[Lap]) -> list[float] | None:

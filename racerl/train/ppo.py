@@ -7,7 +7,7 @@ KL divergence of its updates while the critic keeps learning, and action noise t
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -78,6 +78,7 @@ class Budget:
     critic: Sequence[int]
     normalise: bool
     bf16: bool
+    refinement: Mapping[str, Any] | None  # of the policy in the end; null: none
 
     def __post_init__(self) -> None:
         for name, most in WHOLE.items():

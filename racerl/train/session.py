@@ -24,7 +24,7 @@ from racerl.evaluate.laps import score
 from racerl.run import RunFolder
 
 PROGRESS = "progress.jsonl"
-EVALUATION_CARS, EVALUATION_LAPS = 16, 1  # cars of the training's own randomization
+EVALUATION_CARS, EVALUATION_LAPS = 16, 2  # cars of the training's own randomization
 EVALUATION_SEED = 1_000_003
 
 
@@ -66,15 +66,15 @@ class Examiner:
         self.race = build_race(unlimited, cars=EVALUATION_CARS, seeds=self.seeds, device=device, termination=Crash())
 
     def examine(self, policy: Policy) -> dict[str, Any]:
-        """Return the score of a flying lap of each car."""
+        """Return the score of two flying laps of each car."""
         self.race.reseed(self.seeds)
         self.race.reset()
         return score(drive(self.race, policy, EVALUATION_LAPS))
 
 
 def rank(result: Mapping[str, Any]) -> tuple[float, float, float]:
-    """Return a key that is smaller for a better result: fewer crashes, more valid laps, then faster."""
-    return result["crash_share"], -result["valid_laps"], result["mean_lap_s"] or math.inf
+    """Return a key that is smaller for a better result: fewer crashes, more valid laps, then faster ones, settled."""
+    return result["crash_share"], -result["valid_laps"], result["settled_lap_s"] or math.inf
 
 
 class Session:

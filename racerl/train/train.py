@@ -1,7 +1,8 @@
 """The train stage: a policy for the configured race, examined on the way, the best one kept.
 
 Writes into its run folder: `policy.safetensors` and `policy.json` (the best policy by evaluation), `progress.jsonl`
-(one line per update, append-only) and `tensorboard/`.
+(one line per update, append-only) and `tensorboard/`; where the budget ends with a refinement, the policy before it
+in `unrefined/`, too.
 """
 
 from collections.abc import Callable, Mapping
@@ -10,9 +11,15 @@ from typing import Any
 
 from racerl import bounds
 from racerl.assemble import check_settings, choose_device, use_threads
+from racerl.control.policy import FACTS, load_policy, save_policy
+from racerl.documents import read_json
 from racerl.errors import ConfigError
-from racerl.train.algorithms import create_algorithm
+from racerl.registry import construct
+from racerl.train.algorithms import Algorithm, create_algorithm
+from racerl.train.refinement import Refinement, refine
 from racerl.train.session import Progress, Session
+
+UNREFINED = "unrefined"  # folder of the policy as it was before the refinement
 
 
 def train(
@@ -25,7 +32,24 @@ def train(
         raise ConfigError(f"algo = {settings.get('algo')}: a mapping with a name is expected, as conf/algo/ppo.yaml")
     use_threads(settings["threads"])
     algorithm = create_algorithm(settings["algo"])
+    plan = settings["budget"].get("refinement")
+    refinement = construct(Refinement, plan, "budget.refinement") if plan else None
     session = Session(settings, out, choose_device(settings["device"]), on_progress)
-    facts = {**algorithm.train(session), "seconds": round(session.seconds, 1), "best": session.best}
+    facts = algorithm.train(session) if refinement is None else _refined(session, algorithm, refinement)
+    facts |= {"seconds": round(session.seconds, 1), "best": session.best}
     session.folder.finish(**facts)
     return facts
+
+
+def _refined(session: Session, algorithm: Algorithm, refinement: Refinement) -> dict[str, Any]:
+    """Train, keep the policy as it is then, and refine it; a run that was interrupted while refining goes on there."""
+    before = session.out / UNREFINED
+    if (before / FACTS).is_file():
+        session.start()
+        facts = read_json(before / FACTS)
+        learned, session.best, session.earlier_seconds = facts["learned"], facts["evaluation"], facts["seconds"]
+    else:
+        learned = algorithm.train(session)
+        policy = load_policy(session.out, session.device)
+        save_policy(policy, before, evaluation=session.best, learned=learned, seconds=session.seconds)
+    return learned | refine(session, refinement, learned["steps"])

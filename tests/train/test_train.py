@@ -153,11 +153,11 @@ def test_wrong_settings_write_nothing(change, said, tmp_path):
 
 
 def test_the_best_policy_is_kept():
-    clean = {"crash_share": 0.0, "valid_laps": 10, "mean_lap_s": 6.0}
-    assert rank(clean) < rank({**clean, "mean_lap_s": 6.1})
-    assert rank(clean) < rank({**clean, "valid_laps": 9, "mean_lap_s": 5.0})
-    assert rank(clean) < rank({**clean, "crash_share": 0.1, "valid_laps": 10, "mean_lap_s": 5.0})
-    assert rank(clean) < rank({**clean, "mean_lap_s": None})
+    clean = {"crash_share": 0.0, "valid_laps": 10, "settled_lap_s": 6.0}
+    assert rank(clean) < rank({**clean, "settled_lap_s": 6.1})
+    assert rank(clean) < rank({**clean, "valid_laps": 9, "settled_lap_s": 5.0})
+    assert rank(clean) < rank({**clean, "crash_share": 0.1, "valid_laps": 10, "settled_lap_s": 5.0})
+    assert rank(clean) < rank({**clean, "settled_lap_s": None})
 
 
 @pytest.mark.gpu

@@ -1,0 +1,260 @@
+"""Refinement of a policy by an evolution strategy on its weights: no critic, no discount, no noise in the actions.
+
+Pairs of cars drive from one state, one with weights θ + σ ε, the other with θ − σ ε. With F± the metres of progress
+that they make until a crash, and w = clip(F₊ − F₋, ± most),
+
+    g = Σ w ε,    m ← β m + (1 − β) g,    θ ← θ + α ‖θ‖ m/‖m‖  (layer by layer, norms root-mean-square).
+
+A layer's ε is a bᵀ with normally distributed a and b, others for every pair (rank one, as EGGROLL has it, 2025): all
+cars then share one matrix product. σ and α are shares of the layer's root-mean-square weight and fall exponentially.
+The states are those of cars that the policy itself drives; both cars of a pair have one draw of randomized parameters.
+"""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+from torch import Tensor, nn
+
+from racerl import bounds
+from racerl.assemble import build_race
+from racerl.control.policy import SLOPE, load_policy
+from racerl.documents import write_bytes
+from racerl.env.race import Race
+from racerl.errors import ConfigError, RunError
+from racerl.train.session import Progress, Session
+
+FILE = "refinement.safetensors"
+CHECKPOINT_PERIOD = 30.0  # s
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """How long and how boldly; `conf/budget/*.yaml` says what each number is."""
+
+    generations: int
+    evaluations: int
+    pairs: int
+    horizon: int
+    between: int
+    perturbation: Sequence[float]
+    step: Sequence[float]
+    momentum: float
+    most: float
+
+    def __post_init__(self) -> None:
+        for name in ("generations", "evaluations", "pairs", "horizon", "between"):
+            bounds.whole(f"budget.refinement.{name}", getattr(self, name), 1, 10**6)
+        for name in ("perturbation", "step"):
+            pair = getattr(self, name)
+            if isinstance(pair, str) or not isinstance(pair, Sequence) or len(pair) != 2:
+                raise ConfigError(
+                    f"budget.refinement.{name} = {pair}: two numbers are expected, the first and the last"
+                )
+            for number in pair:
+                bounds.number(f"budget.refinement.{name}", number, 1e-9, 1.0)
+        bounds.number("budget.refinement.momentum", self.momentum, 0.0, 0.999)
+        bounds.number("budget.refinement.most", self.most, 1e-6, 1e6, "m")
+
+    @property
+    def steps(self) -> int:
+        """Control steps of a generation, of all cars together."""
+        return self.pairs * (2 * self.horizon + self.between)
+
+    def examines(self, number: int) -> bool:
+        """Return whether the policy is examined after so many generations: as often as asked, and at the end."""
+        return number * self.evaluations // self.generations > (number - 1) * self.evaluations // self.generations
+
+    def falling(self, limits: Sequence[float], generation: int) -> float:
+        """Return a number that falls exponentially from the first of the limits to the last."""
+        first, last = limits
+        return float(first * (last / first) ** (generation / max(1, self.generations - 1)))
+
+
+def refine(session: Session, settings: Refinement, before: int) -> dict[str, Any]:
+    """Refine the policy in the session's folder, after `before` control steps; return facts for the manifest.
+
+    An interrupted refinement goes on from its checkpoint. `clean_after_s`: seconds until a first examination without a
+    crash, all of whose laps stay on the track; None if there was none.
+    """
+    policy = load_policy(session.folder.path, session.device)
+    session.logger.dump(before)
+    search = Search(settings, policy.network, lambda cars: _race(session, settings, cars), session.seed)
+    clean = search.resume(session)
+    began, saved, first = session.seconds, session.seconds, search.generation
+    while search.generation < settings.generations:
+        measures = search.advance()
+        for name, value in measures.items():
+            session.logger.record(f"refinement/{name}", value)
+        number = search.generation
+        steps = before + number * settings.steps
+        if settings.examines(number):
+            session.examine(policy, steps)
+            if clean is None and session.last["valid_laps"] == session.last["laps"]:
+                clean = session.seconds - began
+        session.logger.dump(steps)
+        if session.seconds - saved > CHECKPOINT_PERIOD:
+            search.keep(session, clean)
+            saved = session.seconds
+        done = number - first
+        pace = done * settings.steps / (session.seconds - began)
+        whole = before + settings.generations * settings.steps
+        reward = measures["progress"] / settings.horizon
+        session.on_progress(Progress(steps, whole, session.seconds, pace, reward, session.last))
+    (session.folder.path / FILE).unlink(missing_ok=True)
+    steps = before + settings.generations * settings.steps
+    return {
+        "steps": steps,
+        "refined": settings.generations,
+        "clean_after_s": None if clean is None else round(clean, 1),
+    }
+
+
+def _race(session: Session, settings: Refinement, cars: int) -> Race:
+    """Return the cars that the policy drives, or their pairs, which no episode's length cuts off."""
+    sim = session.settings["sim"]
+    if cars != settings.pairs:
+        sim = {**sim, "max_steps": 2**31}
+    return build_race({**session.settings, "sim": sim}, cars=cars, seeds=[session.seed], device=session.device)
+
+
+class Search:
+    """An evolution strategy in the course of a refinement: the policy's weights, their momentum, and the cars."""
+
+    def __init__(self, settings: Refinement, network: nn.Sequential, build: Callable[[int], Race], seed: int) -> None:
+        """`build` makes races of so many cars; the network's weights are changed in place."""
+        self.settings = settings
+        self.lead, self.race = build(settings.pairs), build(2 * settings.pairs)
+        self.dice = torch.Generator(self.lead.device).manual_seed(seed)
+        self.network = network
+        self.linear = [layer for layer in network if isinstance(layer, nn.Linear)]
+        self.momentum = [torch.zeros_like(_whole(layer)) for layer in self.linear]
+        self.generation = 0
+
+    @torch.no_grad()
+    def advance(self) -> dict[str, float]:
+        """Take one step of the weights; return its measures."""
+        settings = self.settings
+        sigma = settings.falling(settings.perturbation, self.generation)
+        alpha = settings.falling(settings.step, self.generation)
+        for _ in range(settings.between):
+            self.lead.step(self.network(self.lead.observe()))
+        self._begin()
+        normal = [self._normal(layer) for layer in self.linear]
+        progress = self._fitness(normal, sigma)
+        ahead, behind = progress.chunk(2)
+        weight = (ahead - behind).clamp(-settings.most, settings.most)
+        for i, (layer, (a, b)) in enumerate(zip(self.linear, normal, strict=True)):
+            slope = (a * weight[:, None]).T @ b
+            self.momentum[i] = settings.momentum * self.momentum[i] + (1.0 - settings.momentum) * slope
+            whole, length = _whole(layer), _rms(self.momentum[i])
+            if length > 0.0:
+                step = alpha * _rms(whole) / length * self.momentum[i]
+                layer.weight.add_(step[:, :-1])
+                layer.bias.add_(step[:, -1])
+        self.generation += 1
+        return {"progress": float(progress.mean()), "crashes": float(self.crashed.float().mean())}
+
+    def keep(self, session: Session, clean: float | None) -> None:
+        """Write a checkpoint: all that the next generation depends on, and what the session knows."""
+        tensors = {f"network.{name}": tensor for name, tensor in self.network.state_dict().items()}
+        tensors |= {f"momentum.{i}": tensor for i, tensor in enumerate(self.momentum)}
+        tensors |= {f"lead.{name}": tensor for name, tensor in self.lead.snapshot().items()}
+        tensors |= {"race.dice": self.race.snapshot()["dice"], "dice": self.dice.get_state()}
+        facts = {
+            "generation": self.generation,
+            "best": session.best,
+            "last": session.last,
+            "seconds": session.seconds,
+            "clean": clean,
+        }
+        plain = {name: tensor.detach().cpu().contiguous().clone() for name, tensor in tensors.items()}
+        write_bytes(session.folder.path / FILE, save(plain, {"facts": json.dumps(facts)}))
+
+    def resume(self, session: Session) -> float | None:
+        """Go on from a checkpoint, if there is one; return when all laps first were clean.
+
+        Raises RunError when it is damaged.
+        """
+        path = session.folder.path / FILE
+        if not path.is_file():
+            return None
+        try:
+            with safe_open(path, framework="pt") as file:
+                facts: Mapping[str, Any] = json.loads(file.metadata()["facts"])
+                tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (no mapping)
+            self._restore(tensors)
+        except (SafetensorError, KeyError, TypeError, ValueError, RuntimeError, OSError) as error:
+            raise RunError(f"{path}: is damaged ({error}); remove the run folder and train again") from error
+        self.generation, session.best, session.last = facts["generation"], facts["best"], facts["last"]
+        session.earlier_seconds += facts["seconds"]
+        clean: float | None = facts["clean"]
+        return clean
+
+    def _restore(self, tensors: Mapping[str, Tensor]) -> None:
+        parts: dict[str, dict[str, Tensor]] = {}
+        for name, tensor in tensors.items():
+            part, _, rest = name.partition(".")
+            parts.setdefault(part, {})[rest] = tensor
+        self.network.load_state_dict(parts["network"])
+        device = self.lead.device
+        self.momentum = [parts["momentum"][str(i)].to(device) for i in range(len(self.linear))]
+        self.lead.restore(parts["lead"])
+        self.race.dice.restore(parts["race"]["dice"])
+        self.dice.set_state(parts["dice"][""])
+
+    def _normal(self, layer: nn.Linear) -> tuple[Tensor, Tensor]:
+        """Return a and b of every pair, of a layer's outputs (P, out) and its inputs and bias (P, in + 1)."""
+        pairs, device = self.settings.pairs, self.lead.device
+        a, b = (
+            torch.randn(pairs, size, generator=self.dice, device=device)
+            for size in (layer.out_features, layer.in_features + 1)
+        )
+        return a, b
+
+    def _begin(self) -> None:
+        """Put both cars of every pair where a car stands that the policy drives."""
+        kept = self.lead.snapshot()
+        dice = self.race.snapshot()["dice"]
+        twice = {name: torch.cat([rows, rows], dim=-1) for name, rows in kept.items() if name != "dice"}
+        twice["age"] = torch.zeros_like(twice["age"])
+        self.race.restore({**twice, "dice": dice})
+
+    def _fitness(self, normal: Sequence[tuple[Tensor, Tensor]], sigma: float) -> Tensor:
+        """Return the metres (2 P,) that all cars make until they crash."""
+        race = self.race
+        driving = torch.ones(race.count, dtype=torch.bool, device=race.device)
+        progress = torch.zeros(race.count, device=race.device)
+        sizes = [sigma * _rms(_whole(layer)) for layer in self.linear]
+        observation = race.observe()
+        for _ in range(self.settings.horizon):
+            step = race.step(self._perturbed(observation, normal, sizes))
+            driving &= ~(step.terminated | step.faulty)
+            progress += step.progress * driving
+            observation = step.observation
+        self.crashed = ~driving
+        return progress
+
+    def _perturbed(self, x: Tensor, normal: Sequence[tuple[Tensor, Tensor]], sizes: Sequence[Tensor]) -> Tensor:
+        """Return the actions (2 P, 2) of the networks θ ± σ ε."""
+        half = len(x) // 2
+        for i, (layer, (a, b), size) in enumerate(zip(self.linear, normal, sizes, strict=True)):
+            y = layer(x)
+            for part, sign in ((slice(None, half), 1.0), (slice(half, None), -1.0)):
+                along = (x[part] * b[:, :-1]).sum(dim=1) + b[:, -1]
+                y[part] += (sign * size * along)[:, None] * a
+            x = y if i == len(self.linear) - 1 else nn.functional.leaky_relu(y, SLOPE)
+        return x
+
+
+def _whole(layer: nn.Linear) -> Tensor:
+    """Return a layer's weights with its biases as the last column."""
+    return torch.cat([layer.weight, layer.bias[:, None]], dim=1)
+
+
+def _rms(values: Tensor) -> Tensor:
+    return values.square().mean().sqrt()
