@@ -6,8 +6,9 @@ that they make until a crash, and w = clip(F₊ − F₋, ± most),
     g = Σ w ε,    m ← β m + (1 − β) g,    θ ← θ + α ‖θ‖ m/‖m‖  (layer by layer, norms root-mean-square).
 
 A layer's ε is a bᵀ with normally distributed a and b, others for every pair (rank one, as EGGROLL has it, 2025): all
-cars then share one matrix product. σ and α are shares of the layer's root-mean-square weight and fall exponentially.
-The states are those of cars that the policy itself drives; both cars of a pair have one draw of randomized parameters.
+cars then share one matrix product. Weights are counted with their inputs' root mean square r as unit, W r, so that no
+input decides alone; σ and α are shares of their root mean square and fall exponentially. The states are those of cars
+that the policy itself drives; both cars of a pair have one draw of randomized parameters.
 """
 
 import json
@@ -30,6 +31,7 @@ from racerl.train.session import Progress, Session
 
 FILE = "refinement.safetensors"
 CHECKPOINT_PERIOD = 30.0  # s
+FAINTEST = 1e-3  # root mean square of a layer's input, as which any counts at least
 
 
 @dataclass(frozen=True)
@@ -41,13 +43,14 @@ class Refinement:
     pairs: int
     horizon: int
     between: int
+    episode: int
     perturbation: Sequence[float]
     step: Sequence[float]
     momentum: float
     most: float
 
     def __post_init__(self) -> None:
-        for name in ("generations", "evaluations", "pairs", "horizon", "between"):
+        for name in ("generations", "evaluations", "pairs", "horizon", "between", "episode"):
             bounds.whole(f"budget.refinement.{name}", getattr(self, name), 1, 10**6)
         for name in ("perturbation", "step"):
             pair = getattr(self, name)
@@ -116,9 +119,7 @@ def refine(session: Session, settings: Refinement, before: int) -> dict[str, Any
 
 def _race(session: Session, settings: Refinement, cars: int) -> Race:
     """Return the cars that the policy drives, or their pairs, which no episode's length cuts off."""
-    sim = session.settings["sim"]
-    if cars != settings.pairs:
-        sim = {**sim, "max_steps": 2**31}
+    sim = {**session.settings["sim"], "max_steps": settings.episode if cars == settings.pairs else 2**31}
     return build_race({**session.settings, "sim": sim}, cars=cars, seeds=[session.seed], device=session.device)
 
 
@@ -144,20 +145,31 @@ class Search:
         for _ in range(settings.between):
             self.lead.step(self.network(self.lead.observe()))
         self._begin()
-        normal = [self._normal(layer) for layer in self.linear]
-        progress = self._fitness(normal, sigma)
+        scales = self._scales()
+        normal = [self._normal(layer, scale) for layer, scale in zip(self.linear, scales, strict=True)]
+        sizes = [_rms(_whole(layer) * scale) for layer, scale in zip(self.linear, scales, strict=True)]
+        progress = self._fitness(normal, [sigma * size for size in sizes])
         ahead, behind = progress.chunk(2)
         weight = (ahead - behind).clamp(-settings.most, settings.most)
         for i, (layer, (a, b)) in enumerate(zip(self.linear, normal, strict=True)):
-            slope = (a * weight[:, None]).T @ b
+            slope = (a * weight[:, None]).T @ (b * scales[i])
             self.momentum[i] = settings.momentum * self.momentum[i] + (1.0 - settings.momentum) * slope
-            whole, length = _whole(layer), _rms(self.momentum[i])
+            length = _rms(self.momentum[i])
             if length > 0.0:
-                step = alpha * _rms(whole) / length * self.momentum[i]
+                step = alpha * sizes[i] / length * self.momentum[i] / scales[i]
                 layer.weight.add_(step[:, :-1])
                 layer.bias.add_(step[:, -1])
         self.generation += 1
         return {"progress": float(progress.mean()), "crashes": float(self.crashed.float().mean())}
+
+    def _scales(self) -> list[Tensor]:
+        """Return the root mean square of every layer's inputs (in + 1,), over the cars that the policy drives."""
+        x, found = self.lead.observe(), []
+        for layer in self.network:
+            if isinstance(layer, nn.Linear):
+                found.append(torch.cat([x.square().mean(dim=0).sqrt(), x.new_ones(1)]).clamp(min=FAINTEST))
+            x = layer(x)
+        return found
 
     def keep(self, session: Session, clean: float | None) -> None:
         """Write a checkpoint: all that the next generation depends on, and what the session knows."""
@@ -207,14 +219,13 @@ class Search:
         self.race.dice.restore(parts["race"]["dice"])
         self.dice.set_state(parts["dice"][""])
 
-    def _normal(self, layer: nn.Linear) -> tuple[Tensor, Tensor]:
-        """Return a and b of every pair, of a layer's outputs (P, out) and its inputs and bias (P, in + 1)."""
+    def _normal(self, layer: nn.Linear, scale: Tensor) -> tuple[Tensor, Tensor]:
+        """Return a and b/r of every pair, of a layer's outputs (P, out) and its inputs and bias (P, in + 1)."""
         pairs, device = self.settings.pairs, self.lead.device
         a, b = (
-            torch.randn(pairs, size, generator=self.dice, device=device)
-            for size in (layer.out_features, layer.in_features + 1)
+            torch.randn(pairs, size, generator=self.dice, device=device) for size in (layer.out_features, len(scale))
         )
-        return a, b
+        return a, b / scale
 
     def _begin(self) -> None:
         """Put both cars of every pair where a car stands that the policy drives."""
@@ -224,12 +235,11 @@ class Search:
         twice["age"] = torch.zeros_like(twice["age"])
         self.race.restore({**twice, "dice": dice})
 
-    def _fitness(self, normal: Sequence[tuple[Tensor, Tensor]], sigma: float) -> Tensor:
+    def _fitness(self, normal: Sequence[tuple[Tensor, Tensor]], sizes: Sequence[Tensor]) -> Tensor:
         """Return the metres (2 P,) that all cars make until they crash."""
         race = self.race
         driving = torch.ones(race.count, dtype=torch.bool, device=race.device)
         progress = torch.zeros(race.count, device=race.device)
-        sizes = [sigma * _rms(_whole(layer)) for layer in self.linear]
         observation = race.observe()
         for _ in range(self.settings.horizon):
             step = race.step(self._perturbed(observation, normal, sizes))

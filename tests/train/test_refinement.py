@@ -1,0 +1,163 @@
+"""The evolution strategy that refines a policy: its arithmetic, what it learns, and how it goes on."""
+
+import copy
+from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+from racerl.assemble import build_race
+from racerl.config import compose_settings
+from racerl.control.policy import build_network, load_policy
+from racerl.errors import ConfigError, RunError
+from racerl.train import refinement
+from racerl.train import train as training
+from racerl.train.refinement import FILE, Refinement, Search
+from racerl.train.train import UNREFINED, train
+
+SMOKE = ["budget=smoke", "threads=1", "budget.steps=1024"]
+PLAN = Refinement(
+    generations=6,
+    evaluations=2,
+    pairs=32,
+    horizon=20,
+    between=3,
+    episode=60,
+    perturbation=[0.1, 0.1],
+    step=[0.1, 0.1],
+    momentum=0.5,
+    most=1.0,
+)
+
+
+def search(plan=PLAN, *words, hidden=8, seed=0):
+    settings = compose_settings("train", [*SMOKE, *words])
+    torch.manual_seed(seed)
+    size = build_race(settings, cars=1, seeds=[0], device=torch.device("cpu")).observation.size
+    network = build_network([size, hidden, 2]).requires_grad_(False)
+    return Search(
+        plan, network, lambda cars: build_race(settings, cars=cars, seeds=[seed], device=torch.device("cpu")), seed
+    )
+
+
+def test_both_cars_of_a_pair_start_alike_in_one_world():
+    found = search(PLAN, "+dr=friction_0.02", "dr.sigma=0.1")
+    for _ in range(5):
+        found.lead.step(found.network(found.lead.observe()))
+    found._begin()
+    for kept in (found.race.state, found.race.command, found.race.draws.values, found.race.place):
+        ahead, behind = kept.chunk(2, dim=-1)
+        assert torch.equal(ahead, behind)
+    assert torch.equal(found.race.state[:, : PLAN.pairs], found.lead.state)
+    assert found.lead.draws.values.std() > 0.01
+
+
+def test_perturbed_actions_are_those_of_perturbed_networks():
+    found = search()
+    observation, scales = found.race.observe(), found._scales()
+    normal = [found._normal(layer, scale) for layer, scale in zip(found.linear, scales, strict=True)]
+    sizes = [torch.tensor(0.3), torch.tensor(0.2)]
+    actions = found._perturbed(observation, normal, sizes)
+    for car, sign in ((4, 1.0), (4 + PLAN.pairs, -1.0)):
+        network = copy.deepcopy(found.network)
+        linear = [layer for layer in network if isinstance(layer, torch.nn.Linear)]
+        for layer, (a, b), size in zip(linear, normal, sizes, strict=True):
+            change = sign * size * torch.outer(a[4], b[4])
+            layer.weight.add_(change[:, :-1])
+            layer.bias.add_(change[:, -1])
+        torch.testing.assert_close(actions[car], network(observation[car]))
+
+
+def test_inputs_count_by_their_size():
+    """An input a hundred times as large is perturbed a hundredth as much, so that it does not decide alone."""
+    found = search()
+    sizes = torch.tensor([1.0, 100.0] + [1.0] * 10)
+    a, b = found._normal(found.linear[0], sizes)
+    assert (b * sizes).std(dim=0)[:2].tolist() == pytest.approx([1.0, 1.0], rel=0.4)
+    assert a.std() == pytest.approx(1.0, rel=0.3)
+
+
+def test_it_learns_to_go_faster():
+    """A car that is driven by two numbers alone makes more of its way in a second when it speeds up."""
+    plan = replace(PLAN, generations=15, pairs=64, step=[0.3, 0.3], perturbation=[0.3, 0.3], episode=20)
+    found = search(plan, "track=oval")
+    for layer in found.linear:
+        layer.weight.zero_()
+    found.linear[0].bias.fill_(0.1)
+    found.linear[1].bias.copy_(torch.tensor([0.0, -0.2]))
+    progress = [found.advance()["progress"] for _ in range(plan.generations)]
+    assert progress[-1] > 1.1 * progress[0]
+
+
+def test_a_crash_does_not_decide_alone(monkeypatch):
+    """Beyond `most` it does not matter by how much one of a pair wins."""
+    steps = []
+    for far in (PLAN.most, 50.0):
+        found = search()
+        before = found.linear[0].weight.clone()
+        won = torch.zeros(2 * PLAN.pairs)
+        won[3] = far
+        won[5] = PLAN.most
+        monkeypatch.setattr(found, "_fitness", lambda normal, sizes, won=won: won)
+        found.crashed = torch.zeros(1)
+        found.advance()
+        steps.append(found.linear[0].weight - before)
+    assert torch.equal(*steps)
+
+
+class Killed(Exception):
+    """The process was killed."""
+
+
+def test_an_interrupted_refinement_goes_on_where_it_was(tmp_path, monkeypatch):
+    words = [*SMOKE, "budget.refinement.generations=6", "+dr=friction_0.02"]
+    whole = train(compose_settings("train", words), tmp_path / "whole")
+    monkeypatch.setattr(refinement, "CHECKPOINT_PERIOD", 0.0)
+
+    def kill(progress):
+        if progress.steps > 1024 + 3 * 16 * (2 * 20 + 5):
+            raise Killed
+
+    with pytest.raises(Killed):
+        train(compose_settings("train", words), tmp_path / "killed", kill)
+    monkeypatch.setattr(training, "create_algorithm", lambda asked: SimpleNamespace(train=None))  # not asked again
+    again = train(compose_settings("train", words), tmp_path / "killed")
+    assert {**again, "seconds": 0.0} == {**whole, "seconds": 0.0}
+    one, other = (load_policy(tmp_path / run).network.state_dict() for run in ("whole", "killed"))
+    assert all(torch.equal(one[name], other[name]) for name in one)
+    assert not (tmp_path / "killed" / FILE).exists()
+
+
+def test_the_policy_before_it_is_kept(tmp_path):
+    facts = train(compose_settings("train", SMOKE), tmp_path / "run")
+    plain = train(compose_settings("train", [*SMOKE, "budget.refinement=null"]), tmp_path / "plain")
+    before, alone = (
+        load_policy(folder).network.state_dict() for folder in (tmp_path / "run" / UNREFINED, tmp_path / "plain")
+    )
+    assert all(torch.equal(before[name], alone[name]) for name in alone)
+    assert facts["refined"] == 2 and "refined" not in plain
+    assert facts["steps"] == plain["steps"] + 2 * 16 * (2 * 20 + 5)
+
+
+def test_a_damaged_checkpoint_is_one_line(tmp_path):
+    found = search()
+    (tmp_path / FILE).write_bytes(b"not tensors")
+    with pytest.raises(RunError, match="is damaged"):
+        found.resume(SimpleNamespace(folder=SimpleNamespace(path=tmp_path)))
+
+
+@pytest.mark.parametrize(
+    ("word", "said"),
+    [
+        ("budget.refinement.pairs=0", "pairs"),
+        ("budget.refinement.step=0.1", "two numbers"),
+        ("budget.refinement.perturbation=[0.1,-1]", "perturbation"),
+        ("budget.refinement.momentum=1.5", "momentum"),
+        ("+budget.refinement.speed=3", "no setting 'speed'"),
+    ],
+)
+def test_wrong_settings_are_refused_before_anything_is_trained(word, said, tmp_path):
+    with pytest.raises(ConfigError, match=said):
+        train(compose_settings("train", [*SMOKE, word]), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
