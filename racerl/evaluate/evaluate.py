@@ -118,7 +118,18 @@ def label(settings: Mapping[str, Any]) -> str:
     parts.append(f"{kind} σ = {dr.sigma:g}" if dr.sigma else "no randomization")
     if not settings["sim"]["actuators"]:
         parts.append("no actuator model")
-    return ", ".join(part.replace("_", " ") for part in parts)
+    parts.append(_learned(settings))
+    return ", ".join(part.replace("_", " ") for part in parts if part)
+
+
+def _learned(settings: Mapping[str, Any]) -> str:
+    """Return by what a policy was learned: "PPO refined", say."""
+    algorithm, budget = settings.get("algo"), settings.get("budget")
+    name = algorithm.get("name") if isinstance(algorithm, Mapping) else None
+    if not isinstance(name, str):
+        return ""
+    refined = isinstance(budget, Mapping) and bool(budget.get("refinement"))
+    return ("PPO" if name == "ppo" else name) + (" refined" if refined else "")
 
 
 def seeds_of(value: Any) -> list[int]:

@@ -111,7 +111,9 @@ def _percent(share: float | None) -> str:
 def table_row(subject: Subject) -> dict[str, Any]:
     """Return a driver's row of Table I as text."""
     if subject.evaluation is None:
-        blank = dict.fromkeys(("car", "fastest", "mean", "gap", "interval", "std", "e_off", "crashes", "valid"), "–")
+        blank = dict.fromkeys(
+            ("car", "fastest", "mean", "gap", "settled", "interval", "std", "e_off", "crashes", "valid"), "–"
+        )
         return {"paper": False, "driver": subject.title, **blank}
     m = subject.evaluation.metrics
     return {
@@ -121,6 +123,7 @@ def table_row(subject: Subject) -> dict[str, Any]:
         "fastest": number(m["fastest_valid_lap_s"], 3),
         "mean": number(m["mean_lap_s"], 3),
         "gap": _percent(gap(m["mean_lap_s"], subject.evaluation.floor_s)),
+        "settled": number(m["settled_lap_s"], 3),
         "interval": interval(m.get("mean_lap_ci95"), 3) or "–",
         "std": number(m["std_lap_s"], 3),
         "e_off": number(m["e_off"], 5),
@@ -139,6 +142,7 @@ def paper_rows() -> list[dict[str, Any]]:
             "fastest": number(row["fastest_valid_lap_s"], 3),
             "mean": number(row["mean_lap_s"], 3),
             "gap": "–",
+            "settled": "–",
             "interval": "–",
             "std": number(row["std_lap_s"], 2),
             "e_off": number(row["e_off"], 5),

@@ -32,6 +32,7 @@ FIELDS: dict[str, tuple[type, ...]] = {
     "crash_share": NUMBER,
     "fastest_valid_lap_s": NUMBER_OR_NONE,
     "mean_lap_s": NUMBER_OR_NONE,
+    "settled_lap_s": NUMBER_OR_NONE,
     "std_lap_s": NUMBER_OR_NONE,
     "mean_lap_ci95": (list, type(None)),
 }
@@ -133,6 +134,7 @@ def _subject(training: RunFolder | None, evaluated: RunFolder | None, around: Se
 def _read_evaluation(folder: RunFolder) -> Evaluation:
     try:
         metrics = read_json(folder.path / METRICS)
+        metrics.setdefault("settled_lap_s", None)  # of runs before it was measured
         _check(metrics, FIELDS, METRICS)
         for row in metrics["rows"]:
             _check(row, ROW_FIELDS, f"{METRICS}, rows")

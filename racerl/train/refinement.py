@@ -46,8 +46,8 @@ class Refinement:
     episode: int
     perturbation: Sequence[float]
     step: Sequence[float]
+    most: Sequence[float]
     momentum: float
-    most: float
 
     def __post_init__(self) -> None:
         for name in ("generations", "evaluations", "pairs", "horizon", "between", "episode"):
@@ -72,8 +72,8 @@ class Refinement:
         """Return whether the policy is examined after so many generations: as often as asked, and at the end."""
         return number * self.evaluations // self.generations > (number - 1) * self.evaluations // self.generations
 
-    def falling(self, limits: Sequence[float], generation: int) -> float:
-        """Return a number that falls exponentially from the first of the limits to the last."""
+    def at(self, limits: Sequence[float], generation: int) -> float:
+        """Return a number that goes exponentially from the first of the limits to the last."""
         first, last = limits
         return float(first * (last / first) ** (generation / max(1, self.generations - 1)))
 
@@ -140,8 +140,8 @@ class Search:
     def advance(self) -> dict[str, float]:
         """Take one step of the weights; return its measures."""
         settings = self.settings
-        sigma = settings.falling(settings.perturbation, self.generation)
-        alpha = settings.falling(settings.step, self.generation)
+        sigma = settings.at(settings.perturbation, self.generation)
+        alpha = settings.at(settings.step, self.generation)
         for _ in range(settings.between):
             self.lead.step(self.network(self.lead.observe()))
         self._begin()
@@ -150,7 +150,8 @@ class Search:
         sizes = [_rms(_whole(layer) * scale) for layer, scale in zip(self.linear, scales, strict=True)]
         progress = self._fitness(normal, [sigma * size for size in sizes])
         ahead, behind = progress.chunk(2)
-        weight = (ahead - behind).clamp(-settings.most, settings.most)
+        most = settings.at(settings.most, self.generation)
+        weight = (ahead - behind).clamp(-most, most)
         for i, (layer, (a, b)) in enumerate(zip(self.linear, normal, strict=True)):
             slope = (a * weight[:, None]).T @ (b * scales[i])
             self.momentum[i] = settings.momentum * self.momentum[i] + (1.0 - settings.momentum) * slope

@@ -80,6 +80,13 @@ def test_scores_are_the_papers():
     assert result["max_off_track_m"] == pytest.approx(0.4)
 
 
+def test_settled_laps_follow_another_one():
+    """Neither a car's first lap nor the one after a crash counts."""
+    laps = [lap(6.0), lap(5.0), lap(0.0, crashed=True), lap(7.0), lap(5.2), lap(8.0, car=1), lap(5.4, car=1)]
+    assert score(laps)["settled_lap_s"] == pytest.approx((5.0 + 5.2 + 5.4) / 3.0)
+    assert score([lap(6.0), lap(6.0, car=1)])["settled_lap_s"] is None
+
+
 def test_nothing_is_made_up_without_laps():
     result = score([lap(0.0, crashed=True)])
     assert result["fastest_valid_lap_s"] is None and result["mean_lap_s"] is None and result["std_lap_s"] is None

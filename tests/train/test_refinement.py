@@ -26,8 +26,8 @@ PLAN = Refinement(
     episode=60,
     perturbation=[0.1, 0.1],
     step=[0.1, 0.1],
+    most=[1.0, 1.0],
     momentum=0.5,
-    most=1.0,
 )
 
 
@@ -93,12 +93,12 @@ def test_it_learns_to_go_faster():
 def test_a_crash_does_not_decide_alone(monkeypatch):
     """Beyond `most` it does not matter by how much one of a pair wins."""
     steps = []
-    for far in (PLAN.most, 50.0):
+    for far in (1.0, 50.0):
         found = search()
         before = found.linear[0].weight.clone()
         won = torch.zeros(2 * PLAN.pairs)
         won[3] = far
-        won[5] = PLAN.most
+        won[5] = 1.0
         monkeypatch.setattr(found, "_fitness", lambda normal, sizes, won=won: won)
         found.crashed = torch.zeros(1)
         found.advance()
