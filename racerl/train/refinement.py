@@ -52,16 +52,15 @@ class Refinement:
     def __post_init__(self) -> None:
         for name in ("generations", "evaluations", "pairs", "horizon", "between", "episode"):
             bounds.whole(f"budget.refinement.{name}", getattr(self, name), 1, 10**6)
-        for name in ("perturbation", "step"):
+        for name, largest in (("perturbation", 1.0), ("step", 1.0), ("most", 1e6)):
             pair = getattr(self, name)
             if isinstance(pair, str) or not isinstance(pair, Sequence) or len(pair) != 2:
                 raise ConfigError(
                     f"budget.refinement.{name} = {pair}: two numbers are expected, the first and the last"
                 )
             for number in pair:
-                bounds.number(f"budget.refinement.{name}", number, 1e-9, 1.0)
+                bounds.number(f"budget.refinement.{name}", number, 1e-9, largest)
         bounds.number("budget.refinement.momentum", self.momentum, 0.0, 0.999)
-        bounds.number("budget.refinement.most", self.most, 1e-6, 1e6, "m")
 
     @property
     def steps(self) -> int:
