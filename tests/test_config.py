@@ -9,7 +9,6 @@ from racerl.config import compose_settings, make_env, run_command
 from racerl.errors import ConfigError, RacerlError, TrackError, VehicleError
 from racerl.identify import methods
 from racerl.record.drivers import create_driver
-from racerl.registry import construct
 from racerl.train.algorithms import create_algorithm
 from racerl.train.ppo import Budget
 from racerl.vehicle import kernel
@@ -66,7 +65,7 @@ def test_every_choice_composes_and_drives(choice, monkeypatch):
     monkeypatch.setattr(kernel, "build", lambda code: None)  # tests/vehicle compiles; here torch drives one step
     word = f"+{choice}" if choice.startswith("vehicle/effect") else choice
     settings = compose_settings("train", [word, *COMPANIONS.get(choice, [])])
-    construct(Budget, settings["budget"], "budget")
+    Budget.of(settings["budget"])
     assert create_algorithm(settings["algo"])
     race = build_race(settings, cars=3, seeds=[0])
     import torch

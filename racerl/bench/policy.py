@@ -15,7 +15,6 @@ from racerl.assemble import build_race, use_threads
 from racerl.bench import Compose, Progress
 from racerl.control.onboard import OnboardPolicy
 from racerl.errors import ConfigError
-from racerl.registry import construct
 from racerl.train.ppo import Budget, RacePPO
 from racerl.train.session import policy_of
 
@@ -45,7 +44,7 @@ class Policy:
 
     def _measure(self, settings: dict[str, Any]) -> dict[str, Any]:
         race = build_race(settings, cars=1, seeds=[0])
-        budget = construct(Budget, {**settings["budget"], "cars": 1}, "budget")
+        budget = Budget.of({**settings["budget"], "cars": 1})
         model = RacePPO(race, budget, seed=0)
         policy = policy_of(model.actor(), race, settings)
         onboard = OnboardPolicy(policy)

@@ -30,7 +30,6 @@ from racerl.errors import ConfigError
 from racerl.evaluate.drive import drive
 from racerl.evaluate.laps import score
 from racerl.optimum.optimum import find_optimum
-from racerl.registry import construct
 from racerl.train.ppo import Budget, RacePPO, actor_of, hyperparameters
 from racerl.train.session import policy_of
 from racerl.train.train import train
@@ -70,7 +69,7 @@ class Train:
 
     def _throughput(self, settings: dict[str, Any]) -> dict[str, float]:
         """Return control steps per second of whole updates, rollout and learning."""
-        budget = construct(Budget, {**settings["budget"], "target_kl": None}, "budget")
+        budget = Budget.of({**settings["budget"], "target_kl": None})
         races = [build_race(settings, cars=budget.cars, seeds=[0]) for _ in range(2)]
         learners = [RacePPO(races[0], budget, seed=0), stock_ppo(races[1], budget, seed=0)]
         spent, steps = [0.0, 0.0], budget.cars * budget.rollout
@@ -121,7 +120,7 @@ class Train:
         }
 
     def _stock_runs(self, settings: dict[str, Any], judge: "Judge") -> list[dict[str, Any]]:
-        budget = construct(Budget, settings["budget"], "budget")
+        budget = Budget.of(settings["budget"])
         race = build_race(settings, cars=budget.cars, seeds=[settings["seed"]])
         watch = Watch(self, settings, race, judge)
         stock_ppo(race, budget, settings["seed"]).learn(budget.steps, callback=watch)

@@ -21,6 +21,7 @@ from torch import Tensor, nn
 from racerl import bounds
 from racerl.env.adapters.sb3 import RaceVecEnv
 from racerl.env.race import Race
+from racerl.registry import construct
 from racerl.train.normaliser import Normaliser, moments
 from racerl.train.products import fast_products
 from racerl.train.rollout import Minibatch, Rollout
@@ -78,7 +79,13 @@ class Budget:
     critic: Sequence[int]
     normalise: bool
     bf16: bool
-    refinement: Mapping[str, Any] | None  # of the policy in the end; null: none
+
+    @classmethod
+    def of(cls, settings: Mapping[str, Any]) -> "Budget":
+        """Build the budget of `conf/budget/*.yaml`, in which the refinement is not PPO's."""
+        own = {key: value for key, value in settings.items() if key != "refinement"}
+        budget: Budget = construct(cls, own, "budget")
+        return budget
 
     def __post_init__(self) -> None:
         for name, most in WHOLE.items():

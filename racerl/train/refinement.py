@@ -27,7 +27,7 @@ from racerl.control.policy import SLOPE, load_policy
 from racerl.documents import write_bytes
 from racerl.env.race import Race
 from racerl.errors import ConfigError, RunError
-from racerl.train.session import Progress, Session
+from racerl.train.session import Progress, Session, pace
 
 FILE = "refinement.safetensors"
 CHECKPOINT_PERIOD = 30.0  # s
@@ -95,7 +95,7 @@ def refine(session: Session, settings: Refinement, before: int) -> dict[str, Any
         number = search.generation
         steps = before + number * settings.steps
         if settings.examines(number):
-            session.examine(policy, steps)
+            session.examine(policy, steps, key=pace)
             if clean is None and session.last["valid_laps"] == session.last["laps"]:
                 clean = session.seconds - began
         session.logger.dump(steps)
@@ -103,10 +103,10 @@ def refine(session: Session, settings: Refinement, before: int) -> dict[str, Any
             search.keep(session, clean)
             saved = session.seconds
         done = number - first
-        pace = done * settings.steps / (session.seconds - began)
+        rate = done * settings.steps / (session.seconds - began)
         whole = before + settings.generations * settings.steps
         reward = measures["progress"] / settings.horizon
-        session.on_progress(Progress(steps, whole, session.seconds, pace, reward, session.last))
+        session.on_progress(Progress(steps, whole, session.seconds, rate, reward, session.last))
     (session.folder.path / FILE).unlink(missing_ok=True)
     steps = before + settings.generations * settings.steps
     return {

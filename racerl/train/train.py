@@ -32,13 +32,21 @@ def train(
         raise ConfigError(f"algo = {settings.get('algo')}: a mapping with a name is expected, as conf/algo/ppo.yaml")
     use_threads(settings["threads"])
     algorithm = create_algorithm(settings["algo"])
-    plan = settings["budget"].get("refinement")
-    refinement = construct(Refinement, plan, "budget.refinement") if plan else None
+    refinement = _refinement(settings["budget"].get("refinement"))
     session = Session(settings, out, choose_device(settings["device"]), on_progress)
     facts = algorithm.train(session) if refinement is None else _refined(session, algorithm, refinement)
     facts |= {"seconds": round(session.seconds, 1), "best": session.best}
     session.folder.finish(**facts)
     return facts
+
+
+def _refinement(plan: Any) -> Refinement | None:
+    if plan is None:
+        return None
+    if not isinstance(plan, Mapping):
+        raise ConfigError(f"budget.refinement = {plan}: settings as in conf/budget/laptop.yaml are expected, or null")
+    found: Refinement = construct(Refinement, plan, "budget.refinement")
+    return found
 
 
 def _refined(session: Session, algorithm: Algorithm, refinement: Refinement) -> dict[str, Any]:

@@ -154,6 +154,7 @@ def test_a_damaged_checkpoint_is_one_line(tmp_path):
         ("budget.refinement.step=0.1", "two numbers"),
         ("budget.refinement.perturbation=[0.1,-1]", "perturbation"),
         ("budget.refinement.momentum=1.5", "momentum"),
+        ("budget.refinement=3", "or null"),
         ("+budget.refinement.speed=3", "no setting 'speed'"),
     ],
 )

@@ -17,7 +17,7 @@ from racerl.errors import ConfigError, RunError
 from racerl.run import RunFolder
 from racerl.train.algorithms import ppo as stage
 from racerl.train.checkpoint import FILE as CHECKPOINT
-from racerl.train.session import rank
+from racerl.train.session import pace, rank
 from racerl.train.train import train
 
 SMOKE = ["budget=smoke", "threads=1"]
@@ -158,6 +158,13 @@ def test_the_best_policy_is_kept():
     assert rank(clean) < rank({**clean, "valid_laps": 9, "settled_lap_s": 5.0})
     assert rank(clean) < rank({**clean, "crash_share": 0.1, "valid_laps": 10, "settled_lap_s": 5.0})
     assert rank(clean) < rank({**clean, "settled_lap_s": None})
+
+
+def test_a_refined_policy_may_leave_the_track_by_a_hair():
+    clean = {"crash_share": 0.0, "e_off": 0.0, "settled_lap_s": 6.0}
+    assert pace({**clean, "e_off": 0.0004, "settled_lap_s": 5.9}) < pace(clean)
+    assert pace(clean) < pace({**clean, "e_off": 0.002, "settled_lap_s": 5.0})
+    assert pace({**clean, "settled_lap_s": None}) < pace({**clean, "crash_share": 0.1, "settled_lap_s": 5.0})
 
 
 @pytest.mark.gpu

@@ -7,7 +7,6 @@ from typing import Any
 from stable_baselines3.common.callbacks import BaseCallback
 
 from racerl.assemble import build_race
-from racerl.registry import construct
 from racerl.train.checkpoint import FILE as CHECKPOINT
 from racerl.train.checkpoint import load_checkpoint, save_checkpoint
 from racerl.train.ppo import Budget, RacePPO
@@ -22,7 +21,7 @@ class Ppo:
 
     def train(self, session: Session) -> dict[str, Any]:
         """Train for `budget.steps` control steps."""
-        budget = construct(Budget, session.settings["budget"], "budget")
+        budget = Budget.of(session.settings["budget"])
         race = build_race(session.settings, cars=budget.cars, seeds=[session.seed], device=session.device)
         session.start()
         model = RacePPO(race, budget, session.seed)
