@@ -32,6 +32,7 @@ FOREIGN = 0.1
 REMAINDER = 0.03  # of the noise's cost, that an effect must take of what a foreign tyre leaves
 FELT = 0.01  # of the noise's cost, that an effect must take: nobody misses less, however sure it is
 REAL = 0.05  # excess cost over the noise's that is real: the noise itself is known to a few percent
+WORSE = 1.05  # times the error before, beyond which it has grown
 TYRES = "chassis"  # the stage that has tyres
 ALL, SMALL = 0.75, 0.01  # shares of what is left, and of the first excess, that are not an earlier effect's wrong form
 LIKE = 0.5  # |cosine| with an effect found before, from which on a small one may mend its form

@@ -32,7 +32,7 @@ from racerl.gap.progress import OnProgress, silent, within
 from racerl.gap.prove import prove
 from racerl.gap.stage import CHAIN, Stage, stages
 from racerl.gap.uncertainty import FAR, deviations, intervals, moved
-from racerl.gap.verdict import Verdict, judge, separable
+from racerl.gap.verdict import CLAIMS, Verdict, judge, proved, separable
 from racerl.identify.document import write_model
 from racerl.identify.uncertainty import IDENTIFIED
 from racerl.run import RunFolder
@@ -51,7 +51,6 @@ PROGRAMME = (
 )
 # shares of the work: where each step begins, and where naming and counting end
 NAMING, COUNTING, PROVING, LEARNING = (0.06, 0.7), (0.7, 0.76), 0.78, 0.8
-CLAIMS = ("named", "multiple", "ambiguous")
 
 
 def gap(settings: Mapping[str, Any], out: Path, on_progress: OnProgress = silent) -> dict[str, Any]:
@@ -180,7 +179,8 @@ def _steps(
     located = locate(plain, whole)
     write_json(folder / LOCATE, located)
     decision = name_effects(plain, within(lambda what, share: on_progress(f"name: {what}", share), *NAMING))
-    investigation, verdict = decision.investigation, judge(decision.investigation, decision)
+    investigation = decision.investigation
+    verdict = proved(judge(investigation, decision), prove(investigation, decision.found)["gap"])
     chosen = decision.found if verdict.kind in CLAIMS else investigation.base
     numbers = wrong_numbers(investigation, chosen, within(on_progress, *COUNTING))
     found = numbers.vehicle

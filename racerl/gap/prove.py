@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from racerl.estimation.blocks import resampled
 from racerl.gap.candidates import unfitted
-from racerl.gap.comparison import wild
+from racerl.gap.comparison import WORSE, wild
 from racerl.gap.cross_validation import held_out_errors
 from racerl.gap.evidence import Evidence
 from racerl.gap.fitted_model import FittedModel
@@ -18,7 +18,6 @@ from racerl.gap.locate import HORIZONS, maps
 
 Array = NDArray[np.float64]
 RESAMPLES = 2000
-WORSE = 1.05  # times the error before, beyond which a channel has become worse
 STRETCH = 4  # windows side by side that are shown of the worst stretch
 STEP = 17  # samples between the points of a window's path
 

@@ -38,9 +38,9 @@ def opening(facts: Mapping[str, Any]) -> list[str]:
         lines.append(NOTHING.get(facts["verdict"], f"nothing is missing: {facts['reason']}"))
     gap = facts["gap"]
     if gap and facts["effects"]:
-        lines.append(
-            f"with that the error falls from {gap['before']:.2f} to {gap['after']:.2f} times the sensors' noise"
-        )
+        before, after = f"{gap['before']:.2f}", f"{gap['after']:.2f}"
+        moves = f"falls from {before}" if gap["after"] < gap["before"] else f"goes from {before}"
+        lines.append(f"with that the error {moves} to {after} times the sensors' noise")
     return [f"{_capital(line)}." for line in lines]
 
 

@@ -11,12 +11,12 @@ unknown         what is left is real, and no known effect explains it
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from racerl.gap.comparison import BEHIND, FOREIGN, REAL, CandidateScore, equals, excesses, total
+from racerl.gap.comparison import BEHIND, FOREIGN, REAL, WORSE, CandidateScore, equals, excesses, total
 from racerl.gap.decision import Decision
 from racerl.gap.fitted_model import touched
 from racerl.gap.investigation import Investigation
@@ -29,6 +29,7 @@ CREDIBLE = 0.6  # share of the excess that a name must explain
 COARSE = 30.0  # excess over the noise's cost, beyond which that of filtered sensors is no yardstick
 TWINS = 0.95  # |cosine| above which a linear test cannot tell two effects apart
 MOST = 0.5  # share of the catalogue that a log must be able to show
+CLAIMS = ("named", "multiple", "ambiguous")
 STABLE, RARE = 0.8, 0.1  # shares of resamples in which a name comes out, and a rival in its place at least
 
 
@@ -86,6 +87,19 @@ def judge(investigation: Investigation, decision: Decision) -> Verdict:
     if rivals:
         return Verdict("ambiguous", effects, rivals, blind, f"{explained}; so does {listed(rivals, ' or ')}")
     return Verdict("named" if len(effects) == 1 else "multiple", effects, (), blind, explained)
+
+
+def proved(verdict: Verdict, gap: Mapping[str, float]) -> Verdict:
+    """Return the verdict; `unknown` where with the effects that it names the error in held-out windows grows.
+
+    They help in many windows then, which a judgement by robust losses counts, and spoil others.
+    """
+    if verdict.kind not in CLAIMS or gap["after"] <= WORSE * gap["before"]:
+        return verdict
+    helps = "helps" if len(verdict.effects) == 1 else "help"
+    grows = f"grows from {gap['before']:.2f} to {gap['after']:.2f} times the sensors' noise"
+    reason = f"{listed(verdict.effects)} {helps} in many stretches, but the error {grows}"
+    return replace(verdict, kind="unknown", rivals=(), reason=reason)
 
 
 def _one_with(decision: Decision) -> list[str]:

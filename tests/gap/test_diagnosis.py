@@ -27,7 +27,7 @@ from racerl.gap.score import Score
 from racerl.gap.screening import Screened, hopeful
 from racerl.gap.stage import stages
 from racerl.gap.uncertainty import EXACT, FORM, intervals
-from racerl.gap.verdict import Verdict, judge, open_stage, separable
+from racerl.gap.verdict import Verdict, judge, open_stage, proved, separable
 from racerl.gap.workers import Workers
 from racerl.report.gap_page import draw_gap
 from racerl.vehicle import catalogue
@@ -516,6 +516,16 @@ def test_a_name_must_explain_most_of_a_small_excess(monkeypatch, chosen, excess,
     assert verdict.kind == kind and verdict.effects == (() if kind in ("under_excited", "none") else ("aero_drag",))
     if kind == "under_excited":  # what a foreign tyre leaves beside a name does not speak against it
         assert judge(SimpleNamespace(evidence=evidence, shaped=True), decision).kind == "named"
+
+
+def test_a_claim_under_which_the_error_grows_is_none():
+    named = Verdict("named", ("wheel_speed_latency",), (), ("downforce",), "")
+    assert proved(named, {"before": 26.41, "after": 25.0}) == named
+    grown = proved(named, {"before": 26.41, "after": 32.90})
+    assert grown.kind == "unknown" and grown.effects == named.effects and grown.blind == named.blind
+    assert "grows from 26.41 to 32.90" in grown.reason
+    silent = Verdict("none", (), (), (), "")
+    assert proved(silent, {"before": 1.0, "after": 2.0}) == silent
 
 
 def test_a_small_effect_beside_a_large_one_must_explain_what_is_left_and_not_look_like_it():
