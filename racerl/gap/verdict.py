@@ -29,6 +29,7 @@ CREDIBLE = 0.6  # share of the excess that a name must explain
 COARSE = 30.0  # excess over the noise's cost, beyond which that of filtered sensors is no yardstick
 TWINS = 0.95  # |cosine| above which a linear test cannot tell two effects apart
 MOST = 0.5  # share of the catalogue that a log must be able to show
+NEAR = 2.0  # times the noise, up to which a fold that is told little decides whether an error grows
 CLAIMS = ("named", "multiple", "ambiguous")
 STABLE, RARE = 0.8, 0.1  # shares of resamples in which a name comes out, and a rival in its place at least
 
@@ -94,7 +95,7 @@ def proved(verdict: Verdict, gap: Mapping[str, float]) -> Verdict:
 
     They help in many windows then, which a judgement by robust losses counts, and spoil others.
     """
-    if verdict.kind not in CLAIMS or gap["after"] <= WORSE * gap["before"]:
+    if verdict.kind not in CLAIMS or gap["after"] <= max(NEAR, WORSE * gap["before"]):
         return verdict
     helps = "helps" if len(verdict.effects) == 1 else "help"
     grows = f"grows from {gap['before']:.2f} to {gap['after']:.2f} times the sensors' noise"
