@@ -68,9 +68,12 @@ def _round(
     def added(one: Screened) -> FittedModel:
         return add(investigation, current, one.name, one.vehicle)
 
-    def scored(found: FittedModel) -> CandidateScore:
+    def name_of(found: FittedModel) -> str:
         (name,) = found.effects - current.effects
-        return judge.score(name, converged(investigation, found), decision)
+        return name
+
+    def scored(found: FittedModel) -> CandidateScore:
+        return judge.score(name_of(found), converged(investigation, found), decision)
 
     asked = shortlist(ahead, lost(investigation, current))
     tried = each(screened, asked, within(on_progress, 0.0, SCREENED))
@@ -79,5 +82,5 @@ def _round(
     fitted = within(on_progress, SCREENED, FITTED)
     fits = each(added, list(chosen.values()), lambda one, share: fitted(one.name, share))
     scoring = within(on_progress, FITTED, 1.0)
-    rows = each(scored, gainful(investigation, current, fits), lambda found, share: scoring("held-out windows", share))
+    rows = each(scored, gainful(investigation, current, fits), lambda found, share: scoring(name_of(found), share))
     return judge.ranked(rows, decision.cost)
