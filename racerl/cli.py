@@ -310,6 +310,8 @@ def _train(settings: "Settings", out: Path) -> None:
         if not announced:
             announced = True
             console.print(f"training into {out}", highlight=False, soft_wrap=True)
+        if progress.stage != bar.title:
+            bar.begin(progress.stage)
         left = (progress.total_steps - progress.steps) / progress.steps_per_s if progress.steps_per_s else None
         bar.show(min(1.0, progress.steps / progress.total_steps), training_remark(progress), left)
 

@@ -47,6 +47,11 @@ class Bar:
     ) -> None:
         self._progress.stop()
 
+    def begin(self, title: str) -> None:
+        """Begin anew with the next part of the work."""
+        self.title, self._share, self._printed = title, 0.0, -PLAIN_PERIOD
+        self._progress.update(self._task, description=title, completed=0.0)
+
     def show(self, share: float, remark: str, seconds_left: float | None = None) -> None:
         """Update to a share in 0 … 1; a smaller one than before leaves the bar where it is."""
         self._share = max(self._share, share)

@@ -57,7 +57,8 @@ def _finish(job: Job) -> None:
         rate = progress.steps_per_s
         left = (progress.total_steps - progress.steps) / rate if rate else None
         share = TRAINING * progress.steps / progress.total_steps
-        tell(share, "training", rate, progress.evaluation.get("mean_lap_s"), left)
+        remark = "refining" if progress.stage == "refine" else "training"
+        tell(share, remark, rate, progress.evaluation.get("mean_lap_s"), left)
 
     if job.train is not None and not is_complete(job.trained):
         train(job.train, job.trained, training)

@@ -104,9 +104,9 @@ def refine(session: Session, settings: Refinement, before: int) -> dict[str, Any
             saved = session.seconds
         done = number - first
         rate = done * settings.steps / (session.seconds - began)
-        whole = before + settings.generations * settings.steps
-        reward = measures["progress"] / settings.horizon
-        session.on_progress(Progress(steps, whole, session.seconds, rate, reward, session.last))
+        whole, reward = settings.generations * settings.steps, measures["progress"] / settings.horizon
+        told = Progress(steps - before, whole, session.seconds, rate, reward, session.last, "refine")
+        session.on_progress(told)
     (session.folder.path / FILE).unlink(missing_ok=True)
     steps = before + settings.generations * settings.steps
     return {

@@ -40,6 +40,7 @@ class Progress:
     steps_per_s: float
     reward: float  # mean per step of the last rollout
     evaluation: Mapping[str, Any]  # of the current policy, empty before the first
+    stage: str = "train"  # or "refine"; steps are counted from its beginning
 
 
 class JsonLines(KVWriter):

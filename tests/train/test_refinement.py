@@ -119,7 +119,7 @@ def test_an_interrupted_refinement_goes_on_where_it_was(tmp_path, monkeypatch):
     monkeypatch.setattr(refinement, "CHECKPOINT_PERIOD", 0.0)
 
     def kill(progress):
-        if progress.steps > 1024 + 3 * 16 * (2 * 20 + 5):
+        if progress.stage == "refine" and progress.steps > 3 * 16 * (2 * 20 + 5):
             raise Killed
 
     with pytest.raises(Killed):
