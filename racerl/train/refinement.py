@@ -77,8 +77,8 @@ class Refinement:
         return float(first * (last / first) ** (generation / max(1, self.generations - 1)))
 
 
-def refine(session: Session, settings: Refinement, before: int) -> dict[str, Any]:
-    """Refine the policy in the session's folder, after `before` control steps; return facts for the manifest.
+def refine(session: Session, settings: Refinement, before: int, began: float) -> dict[str, Any]:
+    """Refine the policy in the session's folder, after `before` control steps and `began` s; return facts to keep.
 
     An interrupted refinement goes on from its checkpoint. `clean_after_s`: seconds until a first examination without a
     crash, all of whose laps stay on the track; None if there was none.
@@ -87,7 +87,7 @@ def refine(session: Session, settings: Refinement, before: int) -> dict[str, Any
     session.logger.dump(before)
     search = Search(settings, policy.network, lambda cars: _race(session, settings, cars), session.seed)
     clean = search.resume(session)
-    began, saved, first = session.seconds, session.seconds, search.generation
+    saved, first, now = session.seconds, search.generation, session.seconds
     while search.generation < settings.generations:
         measures = search.advance()
         for name, value in measures.items():
@@ -103,7 +103,7 @@ def refine(session: Session, settings: Refinement, before: int) -> dict[str, Any
             search.keep(session, clean)
             saved = session.seconds
         done = number - first
-        rate = done * settings.steps / (session.seconds - began)
+        rate = done * settings.steps / (session.seconds - now)
         whole, reward = settings.generations * settings.steps, measures["progress"] / settings.horizon
         told = Progress(steps - before, whole, session.seconds, rate, reward, session.last, "refine")
         session.on_progress(told)
@@ -203,7 +203,7 @@ class Search:
         except (SafetensorError, KeyError, TypeError, ValueError, RuntimeError, OSError) as error:
             raise RunError(f"{path}: is damaged ({error}); remove the run folder and train again") from error
         self.generation, session.best, session.last = facts["generation"], facts["best"], facts["last"]
-        session.earlier_seconds += facts["seconds"]
+        session.earlier_seconds = facts["seconds"]
         clean: float | None = facts["clean"]
         return clean
 

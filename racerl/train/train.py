@@ -55,9 +55,10 @@ def _refined(session: Session, algorithm: Algorithm, refinement: Refinement) -> 
     if (before / FACTS).is_file():
         session.start()
         facts = read_json(before / FACTS)
-        learned, session.best, session.earlier_seconds = facts["learned"], facts["evaluation"], facts["seconds"]
+        learned, session.best, began = facts["learned"], facts["evaluation"], facts["seconds"]
+        session.earlier_seconds = began
     else:
-        learned = algorithm.train(session)
+        learned, began = algorithm.train(session), session.seconds
         policy = load_policy(session.out, session.device)
-        save_policy(policy, before, evaluation=session.best, learned=learned, seconds=session.seconds)
-    return learned | refine(session, refinement, learned["steps"])
+        save_policy(policy, before, evaluation=session.best, learned=learned, seconds=began)
+    return learned | refine(session, refinement, learned["steps"], began)

@@ -127,6 +127,7 @@ def test_an_interrupted_refinement_goes_on_where_it_was(tmp_path, monkeypatch):
     monkeypatch.setattr(training, "create_algorithm", lambda asked: SimpleNamespace(train=None))  # not asked again
     again = train(compose_settings("train", words), tmp_path / "killed")
     assert {**again, "seconds": 0.0} == {**whole, "seconds": 0.0}
+    assert again["seconds"] < 3.0 * whole["seconds"]  # what was before the interruption counts once
     one, other = (load_policy(tmp_path / run).network.state_dict() for run in ("whole", "killed"))
     assert all(torch.equal(one[name], other[name]) for name in one)
     assert not (tmp_path / "killed" / FILE).exists()
