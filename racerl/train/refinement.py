@@ -23,7 +23,7 @@ from torch import Tensor, nn
 
 from racerl import bounds
 from racerl.assemble import build_race
-from racerl.control.policy import SLOPE, load_policy
+from racerl.control.policy import SLOPE, Policy
 from racerl.documents import write_bytes
 from racerl.env.race import Race
 from racerl.errors import ConfigError, RunError
@@ -77,13 +77,12 @@ class Refinement:
         return float(first * (last / first) ** (generation / max(1, self.generations - 1)))
 
 
-def refine(session: Session, settings: Refinement, before: int, began: float) -> dict[str, Any]:
-    """Refine the policy in the session's folder, after `before` control steps and `began` s; return facts to keep.
+def refine(session: Session, settings: Refinement, policy: Policy, before: int, began: float) -> dict[str, Any]:
+    """Refine a policy in place, after `before` control steps and `began` s of training; return facts to keep.
 
     An interrupted refinement goes on from its checkpoint. `clean_after_s`: seconds until a first examination without a
     crash, all of whose laps stay on the track; None if there was none.
     """
-    policy = load_policy(session.folder.path, session.device)
     session.logger.dump(before)
     search = Search(settings, policy.network, lambda cars: _race(session, settings, cars), session.seed)
     clean = search.resume(session)

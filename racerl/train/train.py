@@ -59,6 +59,5 @@ def _refined(session: Session, algorithm: Algorithm, refinement: Refinement) -> 
         session.earlier_seconds = began
     else:
         learned, began = algorithm.train(session), session.seconds
-        policy = load_policy(session.out, session.device)
-        save_policy(policy, before, evaluation=session.best, learned=learned, seconds=began)
-    return learned | refine(session, refinement, learned["steps"], began)
+        save_policy(load_policy(session.out), before, evaluation=session.best, learned=learned, seconds=began)
+    return learned | refine(session, refinement, load_policy(before, session.device), learned["steps"], began)

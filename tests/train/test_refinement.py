@@ -113,10 +113,11 @@ class Killed(Exception):
     """The process was killed."""
 
 
-def test_an_interrupted_refinement_goes_on_where_it_was(tmp_path, monkeypatch):
-    words = [*SMOKE, "budget.refinement.generations=6", "+dr=friction_0.02"]
+@pytest.mark.parametrize("period", [0.0, 1e6], ids=["from its checkpoint", "from the policy before it"])
+def test_an_interrupted_refinement_goes_on_where_it_was(period, tmp_path, monkeypatch):
+    words = [*SMOKE, "budget.refinement.generations=6", "budget.refinement.evaluations=6", "+dr=friction_0.02"]
     whole = train(compose_settings("train", words), tmp_path / "whole")
-    monkeypatch.setattr(refinement, "CHECKPOINT_PERIOD", 0.0)
+    monkeypatch.setattr(refinement, "CHECKPOINT_PERIOD", period)
 
     def kill(progress):
         if progress.stage == "refine" and progress.steps > 3 * 16 * (2 * 20 + 5):
