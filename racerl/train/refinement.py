@@ -7,8 +7,8 @@ that they make until a crash, and w = clip(F₊ − F₋, ± most),
 
 A layer's ε is a bᵀ with normally distributed a and b, others for every pair (rank one, as EGGROLL has it, 2025): all
 cars then share one matrix product. Weights are counted with their inputs' root mean square r as unit, W r, so that no
-input decides alone; σ and α are shares of their root mean square and fall exponentially. The states are those of cars
-that the policy itself drives; both cars of a pair have one draw of randomized parameters.
+input decides alone; σ and α are shares of their root mean square and fall; `most` grows, so that crashes count more
+in the end. The states are those of cars that the policy drives; both of a pair have one draw of random parameters.
 """
 
 import json
