@@ -180,7 +180,8 @@ def _steps(
     write_json(folder / LOCATE, located)
     decision = name_effects(plain, within(lambda what, share: on_progress(f"name: {what}", share), *NAMING))
     investigation = decision.investigation
-    verdict = proved(judge(investigation, decision), prove(investigation, decision.found)["gap"])
+    proof = prove(investigation, decision.found)
+    verdict = proved(judge(investigation, decision), proof["gap"])
     chosen = decision.found if verdict.kind in CLAIMS else investigation.base
     numbers = wrong_numbers(investigation, chosen, within(on_progress, *COUNTING))
     found = numbers.vehicle
@@ -189,7 +190,8 @@ def _steps(
     told_effects = _named(decision, verdict, shown, intervals(investigation, shown))
     write_json(folder / NAME, told_effects)
     on_progress("prove", PROVING)
-    proof = prove(investigation, shown)
+    if shown is not decision.found:
+        proof = prove(investigation, shown)
     write_json(folder / PROOF, proof)
     facts = {
         "verdict": verdict.kind,

@@ -18,7 +18,21 @@ from racerl.errors import RunError
 from racerl.train.ppo import RacePPO
 
 FILE = "checkpoint.safetensors"
+DAMAGED = (SafetensorError, KeyError, TypeError, ValueError, RuntimeError, OSError)
 COUNTERS = ("num_timesteps", "_n_updates", "rate_factor")
+
+
+def write_tensors(path: Path, tensors: dict[str, Tensor], state: dict[str, Any]) -> None:
+    """Write tensors, and plain data beside them, into one file."""
+    contiguous = {name: tensor.detach().cpu().contiguous().clone() for name, tensor in tensors.items()}
+    write_bytes(path, save(contiguous, {"state": json.dumps(state)}))
+
+
+def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Return what was written; raise one of `DAMAGED` where it cannot be read."""
+    with safe_open(path, framework="pt") as file:
+        state: dict[str, Any] = json.loads(file.metadata()["state"])
+        return {name: file.get_tensor(name) for name in file.keys()}, state  # noqa: SIM118 (no mapping)
 
 
 def save_checkpoint(model: RacePPO, folder: Path, facts: dict[str, Any]) -> None:
@@ -31,23 +45,21 @@ def save_checkpoint(model: RacePPO, folder: Path, facts: dict[str, Any]) -> None
     tensors["random.shuffle"], tensors["random.torch"] = model.shuffle.get_state(), torch.get_rng_state()
     if model.device.type == "cuda":
         tensors["random.cuda"] = torch.cuda.get_rng_state(model.device)
-    contiguous = {name: tensor.detach().cpu().contiguous().clone() for name, tensor in tensors.items()}
-    counters = {name: getattr(model, name) for name in COUNTERS}
-    write_bytes(folder / FILE, save(contiguous, {"state": json.dumps({"counters": counters, "facts": facts})}))
+    write_tensors(
+        folder / FILE, tensors, {"counters": {name: getattr(model, name) for name in COUNTERS}, "facts": facts}
+    )
 
 
 def load_checkpoint(model: RacePPO, folder: Path) -> dict[str, Any]:
     """Put the model into the checkpoint's state and return its facts; raise RunError when it is damaged."""
     try:
-        with safe_open(folder / FILE, framework="pt") as file:
-            state = json.loads(file.metadata()["state"])
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (no mapping)
-        model.policy.load_state_dict(_section(tensors, "policy."))
-        _load_optimizer(model, _section(tensors, "optimizer."))
-        model.race.restore(_section(tensors, "race."))
+        tensors, state = read_tensors(folder / FILE)
+        model.policy.load_state_dict(section(tensors, "policy."))
+        _load_optimizer(model, section(tensors, "optimizer."))
+        model.race.restore(section(tensors, "race."))
         for name in vars(model.normaliser):
             setattr(model.normaliser, name, tensors[f"normaliser.{name}"].to(model.device))
-    except (SafetensorError, KeyError, TypeError, ValueError, RuntimeError, OSError) as error:
+    except DAMAGED as error:
         raise RunError(f"{folder / FILE}: is damaged ({error}); remove the run folder and train again") from error
     for name in COUNTERS:
         setattr(model, name, state["counters"][name])
@@ -59,7 +71,8 @@ def load_checkpoint(model: RacePPO, folder: Path) -> dict[str, Any]:
     return facts
 
 
-def _section(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
+def section(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    """Return the tensors whose names begin so, without that."""
     return {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
 
 

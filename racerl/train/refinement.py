@@ -11,22 +11,19 @@ input decides alone; σ and α are shares of their root mean square and fall; `m
 in the end. The states are those of cars that the policy drives; both of a pair have one draw of random parameters.
 """
 
-import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save
 from torch import Tensor, nn
 
 from racerl import bounds
 from racerl.assemble import build_race
 from racerl.control.policy import SLOPE, Policy
-from racerl.documents import write_bytes
 from racerl.env.race import Race
 from racerl.errors import ConfigError, RunError
+from racerl.train.checkpoint import DAMAGED, read_tensors, section, write_tensors
 from racerl.train.session import Progress, Session, pace
 
 FILE = "refinement.safetensors"
@@ -175,7 +172,7 @@ class Search:
         tensors = {f"network.{name}": tensor for name, tensor in self.network.state_dict().items()}
         tensors |= {f"momentum.{i}": tensor for i, tensor in enumerate(self.momentum)}
         tensors |= {f"lead.{name}": tensor for name, tensor in self.lead.snapshot().items()}
-        tensors |= {"race.dice": self.race.snapshot()["dice"], "dice": self.dice.get_state()}
+        tensors |= {"race.dice": self.race.dice.snapshot(), "dice": self.dice.get_state()}
         facts = {
             "generation": self.generation,
             "best": session.best,
@@ -183,8 +180,7 @@ class Search:
             "seconds": session.seconds,
             "clean": clean,
         }
-        plain = {name: tensor.detach().cpu().contiguous().clone() for name, tensor in tensors.items()}
-        write_bytes(session.folder.path / FILE, save(plain, {"facts": json.dumps(facts)}))
+        write_tensors(session.folder.path / FILE, tensors, facts)
 
     def resume(self, session: Session) -> float | None:
         """Go on from a checkpoint, if there is one; return when all laps first were clean.
@@ -195,28 +191,21 @@ class Search:
         if not path.is_file():
             return None
         try:
-            with safe_open(path, framework="pt") as file:
-                facts: Mapping[str, Any] = json.loads(file.metadata()["facts"])
-                tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (no mapping)
+            tensors, facts = read_tensors(path)
             self._restore(tensors)
-        except (SafetensorError, KeyError, TypeError, ValueError, RuntimeError, OSError) as error:
+        except DAMAGED as error:
             raise RunError(f"{path}: is damaged ({error}); remove the run folder and train again") from error
         self.generation, session.best, session.last = facts["generation"], facts["best"], facts["last"]
         session.earlier_seconds = facts["seconds"]
         clean: float | None = facts["clean"]
         return clean
 
-    def _restore(self, tensors: Mapping[str, Tensor]) -> None:
-        parts: dict[str, dict[str, Tensor]] = {}
-        for name, tensor in tensors.items():
-            part, _, rest = name.partition(".")
-            parts.setdefault(part, {})[rest] = tensor
-        self.network.load_state_dict(parts["network"])
-        device = self.lead.device
-        self.momentum = [parts["momentum"][str(i)].to(device) for i in range(len(self.linear))]
-        self.lead.restore(parts["lead"])
-        self.race.dice.restore(parts["race"]["dice"])
-        self.dice.set_state(parts["dice"][""])
+    def _restore(self, tensors: dict[str, Tensor]) -> None:
+        self.network.load_state_dict(section(tensors, "network."))
+        self.momentum = [tensors[f"momentum.{i}"].to(self.lead.device) for i in range(len(self.linear))]
+        self.lead.restore(section(tensors, "lead."))
+        self.race.dice.restore(tensors["race.dice"])
+        self.dice.set_state(tensors["dice"])
 
     def _normal(self, layer: nn.Linear, scale: Tensor) -> tuple[Tensor, Tensor]:
         """Return a and b/r of every pair, of a layer's outputs (P, out) and its inputs and bias (P, in + 1)."""
@@ -228,11 +217,9 @@ class Search:
 
     def _begin(self) -> None:
         """Put both cars of every pair where a car stands that the policy drives."""
-        kept = self.lead.snapshot()
-        dice = self.race.snapshot()["dice"]
+        kept = {**self.lead.snapshot(), "age": torch.zeros_like(self.lead.age)}
         twice = {name: torch.cat([rows, rows], dim=-1) for name, rows in kept.items() if name != "dice"}
-        twice["age"] = torch.zeros_like(twice["age"])
-        self.race.restore({**twice, "dice": dice})
+        self.race.restore({**twice, "dice": self.race.dice.snapshot()})
 
     def _fitness(self, normal: Sequence[tuple[Tensor, Tensor]], sizes: Sequence[Tensor]) -> Tensor:
         """Return the metres (2 P,) that all cars make until they crash."""

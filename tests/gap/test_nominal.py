@@ -10,7 +10,7 @@ import pytest
 from racerl.gap import nominal
 from racerl.gap.candidates import add, converged, everywhere, joined, without
 from racerl.gap.fitted_model import better_half_way, fit_model
-from racerl.gap.screening import Screened, screen
+from racerl.gap.screening import Screened, gainful, screen
 from racerl.gap.stage_fit import StageFit
 from racerl.vehicle.parameter import replace_values, values
 from tests.gap.conftest import configured, drive, investigate
@@ -104,11 +104,22 @@ def test_a_candidate_starts_anew_in_its_own_stages_only(found, monkeypatch):
     )
     screen(found, found.base, "drive_delay")
     fitted, given = values(found.base.vehicle), values(found.vehicle)
-    assert len(tried) % 2 == 0
+    assert len(tried) == len(found.catalogue["drive_delay"]) + 1
     again, anew = values(tried[0]), values(tried[-1])
     assert float(again["drive.time_constant"]) == pytest.approx(float(fitted["drive.time_constant"]))
     assert float(anew["drive.time_constant"]) == pytest.approx(float(given["drive.time_constant"]))
     assert float(anew["rear.p_Ky1"]) == pytest.approx(float(fitted["rear.p_Ky1"]))
+
+
+def test_only_candidates_near_the_best_are_fitted_to_their_end(found):
+    """Shares of the windows' cost: near the best, far behind it, and worse than without."""
+    near, behind, worse = (
+        replace(found.base, cost={name: share * cost for name, cost in found.base.cost.items()})
+        for share in (0.8, 0.97, 1.1)
+    )
+    best = replace(found.base, cost={name: 0.7 * cost for name, cost in found.base.cost.items()})
+    assert gainful(found, found.base, [worse, near, behind, best]) == [near, best]
+    assert gainful(found, found.base, [worse]) == []
 
 
 def test_a_fit_is_the_better_one_of_two_starts(found, monkeypatch):
