@@ -60,8 +60,13 @@ def train(overrides: Annotated[list[str] | None, _words("[GROUP=CHOICE | KEY=VAL
     """Train a policy: racerl train +dr=friction_0.02 out=outputs/train/first
 
     Groups: vehicle track sim obs action dr algo budget. `--cfg job` shows all settings, `-m` runs several.
+
+    A policy follows its car's new model, another track or randomization: racerl train from=RUN vehicle=model.yaml
     """
-    _run("train", overrides, _train)
+    if any(word.lstrip("+").startswith("from=") for word in overrides or []):
+        _run("refine", overrides, _refine)
+    else:
+        _run("train", overrides, _train)
 
 
 @app.command(context_settings=HYDRA)
@@ -298,9 +303,20 @@ def _continued(console: Any, out: Path, how: str = "continues") -> Iterator[None
 
 
 def _train(settings: "Settings", out: Path) -> None:
+    from racerl.train.train import train
+
+    _show_training(train, settings, out)
+
+
+def _refine(settings: "Settings", out: Path) -> None:
+    from racerl.train.onward import train_onward
+
+    _show_training(train_onward, settings, out)
+
+
+def _show_training(stage: Callable[..., dict[str, Any]], settings: "Settings", out: Path) -> None:
     from racerl.console import Bar, training_remark
     from racerl.train.session import Progress
-    from racerl.train.train import train
 
     console = _console()
     announced = False
@@ -316,9 +332,11 @@ def _train(settings: "Settings", out: Path) -> None:
         bar.show(min(1.0, progress.steps / progress.total_steps), training_remark(progress), left)
 
     with _continued(console, out), Bar(console, "train") as bar:
-        facts = train(settings, out, show)
+        facts = stage(settings, out, show)
     best = facts["best"]
     lap = f"{best['mean_lap_s']:.3f} s" if best["mean_lap_s"] else "none"
+    if before := facts.get("before"):
+        console.print(_followed(before, facts["clean_after_s"]), highlight=False, soft_wrap=True)
     console.print(
         f"{facts['steps']:,} steps in {facts['seconds']:.0f} s; best policy: mean lap {lap}, "
         f"{best['valid_laps']} of {best['laps']} laps clean",
@@ -328,6 +346,14 @@ def _train(settings: "Settings", out: Path) -> None:
     if facts["nan_cars"]:
         console.print(f"warning: the simulation failed (NaN) for {facts['nan_cars']} cars, which were started over")
     _print_lines(console, f"policy in {out}", f"next: racerl evaluate {_quoted(out)}")
+
+
+def _followed(before: dict[str, Any], clean_after: float | None) -> str:
+    """Return how a policy drove when it came into a new world, and after how long it drove there without fault."""
+    came = f"as it came {before['valid_laps']} of {before['laps']} laps were clean"
+    if clean_after is None:
+        return f"{came}, no examination since found all of them clean"
+    return came if not clean_after else f"{came}, all of them after {clean_after:.0f} s"
 
 
 def _evaluate(settings: "Settings", out: Path) -> None:
@@ -469,23 +495,36 @@ def _close(settings: "Settings", out: Path) -> None:
     console = _console()
     with _continued(console, out), Bar(console, "close") as bar:
         facts = close(settings, out, compose_settings, bar.show)
-    table = Table("policy", "seed", "mean lap [s]", "fastest [s]", "E_off [m s]", "crashes", "valid laps")
+    table = Table(
+        "policy", "seed", "trained [s]", "mean lap [s]", "fastest [s]", "E_off [m s]", "crashes", "valid laps"
+    )
     for kind, policy in facts["policies"].items():
         for row in policy["trainings"]:
             times = ["none" if row[k] is None else f"{row[k]:.3f}" for k in ("mean_lap_s", "fastest_valid_lap_s")]
             valid = f"{row['valid_laps']} of {row['laps']}"
-            table.add_row(kind, str(row["seed"]), *times, f"{row['e_off']:.5f}", f"{row['crash_share']:.0%}", valid)
+            seconds = f"{row['training_s']:.0f}"
+            table.add_row(
+                kind, str(row["seed"]), seconds, *times, f"{row['e_off']:.5f}", f"{row['crash_share']:.0%}", valid
+            )
     console.print(table)
+    effects = ", ".join(facts["effects"])
+    lines = [f"trained with {effects}: {_recovered(facts, 'new', 'recovered')}"]
+    if "refined" in facts["policies"]:
+        lines.append(f"refined with {effects}: {_recovered(facts, 'refined', 'recovered_by_refining')}")
+    _print_lines(console, *lines, f"numbers in {out / RESULT}")
+
+
+def _recovered(facts: dict[str, Any], kind: str, key: str) -> str:
+    """Return what share of the oracle's gain a kind of policy has, in lap time, E_off and crashes."""
     told = {"mean_lap_s": "lap time", "e_off": "E_off", "crash_share": "crashes"}
     gained = []
-    for measure, share in facts["recovered"].items():
-        missing = [kind for kind, policy in facts["policies"].items() if policy[measure] is None]
+    for measure, share in facts[key].items():
+        missing = [each for each in ("old", kind, "oracle") if facts["policies"][each][measure] is None]
         why = f"{' and '.join(missing)} finished no lap in a training" if missing else "the oracle gains nothing"
-        ci95 = facts["recovered_ci95"][measure]
+        ci95 = facts[f"{key}_ci95"][measure]
         sure = f"{ci95[0]:.0%} … {ci95[1]:.0%}" if ci95 else "the trainings scatter by more than the oracle gains"
         gained.append(f"{told[measure]}: " + (why if share is None else f"{share:.0%} of the oracle's gain ({sure})"))
-    line = f"with {', '.join(facts['effects'])}: {'; '.join(gained)}; numbers in {out / RESULT}"
-    console.print(line, highlight=False, soft_wrap=True)
+    return "; ".join(gained)
 
 
 def _plan(settings: "Settings", out: Path) -> None:

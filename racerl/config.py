@@ -32,9 +32,14 @@ if TYPE_CHECKING:
 
 VERSION_BASE = "1.3"
 FILE_GROUPS = {"track": (".csv", ".yaml", ".yml"), "vehicle": (".yaml", ".yml"), "controller": (".yaml", ".yml")}
-SPOKEN = {"race": "evaluate", "compare": "report compare", "close": "gap close"}  # where the words are others
+SPOKEN = {
+    "race": "evaluate",
+    "refine": "train",
+    "compare": "report compare",
+    "close": "gap close",
+}  # where the words are others
 # keys that must be given, as a user gives them
-ASKED = {"logs": "LOG…", "run": "RUN", "real": "LOG… real=FILE", "name": "SWEEP"}
+ASKED = {"logs": "LOG…", "run": "RUN", "real": "LOG… real=FILE", "name": "SWEEP", "from": "from=RUN"}
 PATHS = {  # positional keys that name files or folders, and what is allowed
     "logs": "drive logs: CSV, Parquet or a bag",
     "run": "a training run, a drive log, paper:rl or paper:human",
@@ -98,7 +103,7 @@ def run_command(
     sys.argv = [f"racerl {command}", *overrides]
     try:
         hydra_main(str(conf_folder()), command, VERSION_BASE)(job)()
-    except (HydraException, OmegaConfBaseException) as error:
+    except (HydraException, OmegaConfBaseException, ValueError) as error:  # ValueError: options that exclude each other
         raise _translate(command, error) from error
     if failures:
         raise failures[0]
@@ -293,13 +298,18 @@ def quote(value: str) -> str:
 
 def _check_keys(command: str, settings: Settings) -> None:
     """Raise ConfigError for keys that a `+` or `~` override added or took away."""
-    base, known = read_yaml(conf_folder() / f"{command}.yaml"), own_keys(command)
+    known = own_keys(command)
     for key in settings:
         if key not in known:
             raise _unknown_key(command, key, known)
-    optional = {next(iter(e)) for e in base["defaults"] if isinstance(e, Mapping) and next(iter(e.values())) is None}
-    for key in sorted(known - set(settings) - optional):
+    for key in sorted(known - set(settings) - _optional(command)):
         raise ConfigError(f"{key} was removed; it is needed, give {key}=…")
+
+
+def _optional(command: str) -> set[str]:
+    """Return the groups that a command takes from elsewhere where none is chosen."""
+    defaults = read_yaml(conf_folder() / f"{command}.yaml").get("defaults", [])
+    return {name for e in defaults if isinstance(e, Mapping) for name, choice in e.items() if choice is None}
 
 
 def _check_values(command: str, settings: Settings, overrides: Sequence[str]) -> None:
@@ -355,6 +365,9 @@ def _translate(command: str, error: Exception) -> ConfigError:
 
 def _unknown_key(command: str, key: str, known: Collection[str]) -> ConfigError:
     """Return what to say of a key that is not there: the nearest by its whole name or its last, and where all are."""
+    group = key.partition(".")[0]
+    if "." in key and _optional(command) & {group}:
+        return ConfigError(f"unknown key '{key}' while {group} is the run's; give {group}=NAME or FILE with it")
     last, names = key.rpartition(".")[2], sorted(set(known))
     ends = difflib.get_close_matches(last, {name.rpartition(".")[2] for name in names}, n=3, cutoff=0.75)
     near = difflib.get_close_matches(key, names, n=3, cutoff=0.7)

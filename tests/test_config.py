@@ -32,6 +32,7 @@ def test_no_file_is_left_out():
     rest = {
         "train.yaml",
         "evaluate.yaml",
+        "refine.yaml",
         "record.yaml",
         "drive.yaml",
         "report.yaml",

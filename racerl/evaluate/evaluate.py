@@ -26,6 +26,7 @@ from racerl.registry import construct
 from racerl.run import RunFolder
 
 UNLIMITED = 2**31  # control steps: evaluation is never cut off
+ONWARD = ", refined on"  # in another world than it was learned in
 OVERRIDABLE = ("vehicle", "track", "sim", "dr")
 
 
@@ -118,16 +119,17 @@ def label(settings: Mapping[str, Any]) -> str:
     parts.append(f"{kind} σ = {dr.sigma:g}" if dr.sigma else "no randomization")
     if not settings["sim"]["actuators"]:
         parts.append("no actuator model")
-    parts.append(_learned(settings))
+    parts.append(learned(settings))
     return ", ".join(part.replace("_", " ") for part in parts if part)
 
 
-def _learned(settings: Mapping[str, Any]) -> str:
+def learned(settings: Mapping[str, Any]) -> str:
     """Return by what a policy was learned: "PPO refined", say."""
     algorithm, budget = settings.get("algo"), settings.get("budget")
-    name = algorithm.get("name") if isinstance(algorithm, Mapping) else None
-    if not isinstance(name, str):
+    if not isinstance(algorithm, Mapping) or not isinstance(name := algorithm.get("name"), str):
         return ""
+    if name == "trained":
+        return str(algorithm.get("learned")).removesuffix(ONWARD) + ONWARD
     refined = isinstance(budget, Mapping) and bool(budget.get("refinement"))
     return ("PPO" if name == "ppo" else name) + (" refined" if refined else "")
 

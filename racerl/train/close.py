@@ -1,9 +1,9 @@
-"""`racerl gap close`: three policies race in the car that the log came from.
+"""`racerl gap close`: policies race in the car that the log came from.
 
 `old` was trained on the refitted vehicle without the effects found, `new` on the vehicle of the diagnosis, which has
-them, `oracle` on the car itself, each several times. Of the oracle's gain, in lap time, in leaving the track or in
-crashes, naming the effect recovered the share (old − new)/(old − oracle), of the trainings' means; its interval is a
-bootstrap over the trainings.
+them, `oracle` on the car itself, each several times; `refined` is `old`, refined on the vehicle of the diagnosis, where
+the budget has a refinement. Of the oracle's gain, in lap time, in leaving the track or in crashes, naming the effect
+recovered the share (old − new)/(old − oracle), of the trainings' means; its interval is a bootstrap over the trainings.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -21,6 +21,7 @@ from racerl.evaluate.evaluate import evaluate
 from racerl.evaluate.outcome import METRICS
 from racerl.gap.diagnose import MODEL, MODEL_BEFORE, VERDICT, gap
 from racerl.run import Compose, RunFolder, is_complete
+from racerl.train.onward import train_onward
 from racerl.train.train import train
 from racerl.vehicle.load import load_vehicle
 
@@ -28,6 +29,7 @@ RESULT = "close.json"
 MEASURES = ("mean_lap_s", "e_off", "crash_share")  # less is better
 RESAMPLES, TAIL = 4000, 2.5  # of the bootstrap; its tails in percent
 SHOWN = (*MEASURES, "fastest_valid_lap_s", "laps", "valid_laps")
+ONWARD = ("budget", "device")  # words for training that the refinement of a policy follows, too
 
 
 def close(
@@ -36,7 +38,7 @@ def close(
     compose: Compose,
     on_progress: Callable[[float, str], None] = lambda share, what: None,
 ) -> dict[str, Any]:
-    """Train and race the three policies; return what was written to close.json.
+    """Train and race the policies; return what was written to close.json.
 
     Raises RunError for a run that is no finished diagnosis, ConfigError where nothing was named that could be added.
     """
@@ -50,7 +52,8 @@ def close(
         )
     trainings = _trainings(settings)
     # what cannot be read is told before anything is written
-    load_vehicle(compose("train", [f"vehicle={settings['real']}", *words])["vehicle"])
+    training = compose("train", [f"vehicle={settings['real']}", *words])
+    load_vehicle(training["vehicle"])
     if finished:
         _verdict(Path(logs[0]))
     else:
@@ -60,27 +63,38 @@ def close(
     if not finished and not is_complete(found):
         gap(diagnosis, found, lambda what, share: on_progress(0.0, what))
     verdict = _verdict(found)
-    cars = {"old": found / MODEL_BEFORE, "new": found / MODEL, "oracle": settings["real"]}
+    cars = {"old": found / MODEL_BEFORE, "refined": found / MODEL, "new": found / MODEL, "oracle": settings["real"]}
+    if training["budget"].get("refinement") is None:
+        del cars["refined"]
+    onward = [word for word in words if word.lstrip("+~").partition("=")[0].partition(".")[0] in ONWARD]
     rows: dict[str, list[dict[str, Any]]] = {kind: [] for kind in cars}
     jobs = [(seed, kind) for seed in trainings for kind in cars]
     for i, (seed, kind) in enumerate(jobs):
         on_progress(i / len(jobs), f"{kind}, seed {seed}: training")
         trained, raced = folder.path / f"{kind}_{seed}", folder.path / f"{kind}_{seed}_race"
         if not is_complete(trained):
-            train(compose("train", [*words, f"vehicle={cars[kind]}", f"seed={seed}"]), trained)
+            own = [f"vehicle={cars[kind]}", f"seed={seed}"]
+            if kind == "refined":
+                before = f"from={folder.path / f'old_{seed}'}"
+                train_onward(compose("refine", [before, *own, *onward, f"threads={settings['threads']}"]), trained)
+            else:
+                train(compose("train", [*words, *own]), trained)
         on_progress((i + 0.7) / len(jobs), f"{kind}, seed {seed}: racing")
         if not is_complete(raced):
             race = [f"run={trained}", f"vehicle={settings['real']}", f"laps={settings['laps']}"]
             evaluate(compose("evaluate", [*race, f"seeds={list(settings['seeds'])}"]), raced)
-        rows[kind].append({"seed": seed, **{key: read_json(raced / METRICS)[key] for key in SHOWN}})
+        seconds = RunFolder.open_complete(trained, "train").manifest["seconds"]
+        shown = {key: read_json(raced / METRICS)[key] for key in SHOWN}
+        rows[kind].append({"seed": seed, "training_s": seconds, **shown})
     facts: dict[str, Any] = {
         "effects": [effect["name"] for effect in verdict["effects"]],
         "policies": {kind: {**means(each), "trainings": each} for kind, each in rows.items()},
     }
-    facts["recovered"] = {
-        measure: recovered(*(facts["policies"][kind][measure] for kind in cars)) for measure in MEASURES
-    }
-    facts["recovered_ci95"] = {measure: interval(rows, measure) for measure in MEASURES}
+    for kind, key in (("new", "recovered"), ("refined", "recovered_by_refining")):
+        if kind in cars:
+            three = ("old", kind, "oracle")
+            facts[key] = {m: recovered(*(facts["policies"][each][m] for each in three)) for m in MEASURES}
+            facts[f"{key}_ci95"] = {measure: interval([rows[each] for each in three], measure) for measure in MEASURES}
     write_json(folder.path / RESULT, facts)
     folder.finish()
     return facts
@@ -115,10 +129,13 @@ def recovered(old: float | None, new: float | None, oracle: float | None) -> flo
     return (old - new) / (old - oracle)
 
 
-def interval(rows: Mapping[str, Sequence[Mapping[str, Any]]], measure: str) -> tuple[float, float] | None:
-    """Return the 95 % interval of the share recovered; None where trainings don't show that the oracle gains at all."""
+def interval(rows: Sequence[Sequence[Mapping[str, Any]]], measure: str) -> tuple[float, float] | None:
+    """Return the 95 % interval of the share recovered; None where trainings don't show that the oracle gains at all.
+
+    `rows` are those of the old, the new and the oracle's trainings.
+    """
     generator = np.random.default_rng(0)
-    columns = [[row[measure] for row in rows[kind]] for kind in ("old", "new", "oracle")]
+    columns = [[row[measure] for row in trainings] for trainings in rows]
     if any(None in column for column in columns):
         return None
     old, new, oracle = (generator.choice(column, size=(RESAMPLES, len(column))).mean(axis=1) for column in columns)

@@ -11,7 +11,7 @@ input decides alone; σ and α are shares of their root mean square and fall; `m
 in the end. The states are those of cars that the policy drives; both of a pair have one draw of random parameters.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -78,11 +78,13 @@ def refine(session: Session, settings: Refinement, policy: Policy, before: int, 
     """Refine a policy in place, after `before` control steps and `began` s of training; return facts to keep.
 
     An interrupted refinement goes on from its checkpoint. `clean_after_s`: seconds until a first examination without a
-    crash, all of whose laps stay on the track; None if there was none.
+    crash, all of whose laps stay on the track, 0 where the best before was such; None if there was none.
     """
     session.logger.dump(before)
     search = Search(settings, policy.network, lambda cars: _race(session, settings, cars), session.seed)
     clean = search.resume(session)
+    if clean is None and session.best and _clean(session.best):
+        clean = 0.0
     saved, first, now = session.seconds, search.generation, session.seconds
     while search.generation < settings.generations:
         measures = search.advance()
@@ -92,7 +94,7 @@ def refine(session: Session, settings: Refinement, policy: Policy, before: int, 
         steps = before + number * settings.steps
         if settings.examines(number):
             session.examine(policy, steps, key=pace)
-            if clean is None and session.last["valid_laps"] == session.last["laps"]:
+            if clean is None and _clean(session.last):
                 clean = session.seconds - began
         session.logger.dump(steps)
         if session.seconds - saved > CHECKPOINT_PERIOD:
@@ -110,6 +112,10 @@ def refine(session: Session, settings: Refinement, policy: Policy, before: int, 
         "refined": settings.generations,
         "clean_after_s": None if clean is None else round(clean, 1),
     }
+
+
+def _clean(evaluation: Mapping[str, Any]) -> bool:
+    return bool(evaluation["laps"]) and evaluation["valid_laps"] == evaluation["laps"]
 
 
 def _race(session: Session, settings: Refinement, cars: int) -> Race:

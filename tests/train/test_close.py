@@ -10,6 +10,7 @@ from racerl.documents import write_json
 from racerl.errors import ConfigError, LogError, RacerlError, RunError
 from racerl.run import RunFolder
 from racerl.train.close import close, interval, means, recovered
+from tests.train.test_refinement import REFINED
 
 
 @pytest.fixture
@@ -53,6 +54,18 @@ def test_three_policies_race_in_one_car_and_a_second_start_goes_on(diagnosed, tm
     assert str(masses["old"][0]).endswith("model_before.yaml") or masses["old"][0] == 5.0
     with pytest.raises(RunError, match="already holds"):
         close(settings_of(diagnosed), tmp_path / "out", compose_settings)
+
+
+def test_the_old_policy_is_refined_in_the_new_model_where_the_budget_refines(diagnosed, tmp_path):
+    settings = settings_of(diagnosed, train=["budget=smoke", REFINED])
+    facts = close(settings, tmp_path / "out", compose_settings)
+    assert list(facts["policies"]) == ["old", "refined", "new", "oracle"]
+    refined = RunFolder.open_complete(tmp_path / "out" / "refined_0", "train")
+    assert refined.settings()["vehicle"]["file"].endswith("gap/model.yaml")
+    assert refined.settings()["algo"]["run"].endswith("old_0")
+    assert refined.manifest["seconds"] == facts["policies"]["refined"]["trainings"][0]["training_s"]
+    three = [facts["policies"][kind]["e_off"] for kind in ("old", "refined", "oracle")]
+    assert facts["recovered_by_refining"]["e_off"] == recovered(*three)
 
 
 def test_logs_are_diagnosed_first(diagnosed, tmp_path, monkeypatch):
@@ -125,8 +138,7 @@ def test_the_share_of_the_oracles_gain():
 )
 def test_the_shares_interval_is_that_of_the_trainings(old, new, oracle, known):
     columns = {"old": old, "new": new, "oracle": oracle}
-    rows = {kind: [{"mean_lap_s": seconds} for seconds in column] for kind, column in columns.items()}
-    found = interval(rows, "mean_lap_s")
+    found = interval([[{"mean_lap_s": seconds} for seconds in column] for column in columns.values()], "mean_lap_s")
     if not known:
         assert found is None
     else:
