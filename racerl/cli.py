@@ -1,6 +1,7 @@
 """The command line: Typer in front, Hydra's grammar behind. Heavy modules load only when a command runs."""
 
 import logging
+import math
 import re
 import shlex
 import sys
@@ -617,7 +618,7 @@ def _bench(settings: "Settings", out: Path) -> None:
 
 def _optimum(settings: "Settings", out: Path) -> None:
     from racerl.console import Bar
-    from racerl.optimum.optimum import RACELINE, optimum
+    from racerl.optimum.optimum import DISTINCT, RACELINE, optimum
 
     console = _console()
     with Bar(console, "optimum") as bar:
@@ -628,6 +629,13 @@ def _optimum(settings: "Settings", out: Path) -> None:
         f"{held['period_s']:.4f} s; found in {facts['seconds']:.0f} s",
         highlight=False,
     )
+    if len(facts["ways"]) > 1:
+        told = [f"{way['time_s']:.3f} s with up to {math.degrees(way['sideslip_rad']):.0f}°" for way in facts["ways"]]
+        line = f"this car has {len(told)} ways round, each faster than all near it: {', '.join(told)} of side slip"
+        console.print(line, highlight=False, soft_wrap=True)
+    if held["time_s"] < (1 - DISTINCT) * facts["time_s"]:
+        line = "held commands led to another, faster way round: the free commands' time is no bound here"
+        console.print(f"warning: {line}", highlight=False, soft_wrap=True)
     console.print(f"raceline in {out / RACELINE}", highlight=False, soft_wrap=True)
 
 

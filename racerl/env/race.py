@@ -205,7 +205,7 @@ class Race(Rows):
 
     def reset(self) -> Tensor:
         """Start all cars over; return the observation (N, O)."""
-        self._restart(torch.ones(self.count, device=self.device, dtype=torch.bool))
+        self.restart(torch.ones(self.count, device=self.device, dtype=torch.bool))
         return self.observe()
 
     def put(self, cars: Tensor, state: Tensor, command: Tensor) -> None:
@@ -233,7 +233,7 @@ class Race(Rows):
         over = ended | truncated
         observation = final
         if not self.waits or bool(over.any()):
-            chosen = self._restart(over)
+            chosen = self.restart(over)
             observation = chosen.put(final.T, self.observe(chosen).T).T
         return Step(observation, reward, ended, truncated, final, progress, command, margin, faulty)
 
@@ -294,7 +294,7 @@ class Race(Rows):
             return what
         return what + self.spread * self.dice.normal(len(STATE), torch.arange(self.count, device=self.device))
 
-    def _restart(self, mask: Tensor) -> Chosen:
+    def restart(self, mask: Tensor) -> Chosen:
         """Start the masked cars at a random place on the centreline with new parameters; return which they are."""
         chosen = self._chosen(mask)
         self.draws.draw(chosen, self.dice)

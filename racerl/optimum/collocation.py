@@ -75,6 +75,11 @@ class Solution:
         return np.stack([self.commands[0] * self.action.steering_max, drive])
 
     @property
+    def largest_sideslip(self) -> float:
+        """The greatest angle between nose and course, in rad."""
+        return float(np.abs(np.arctan2(self.states[V_Y], self.states[V_X])).max())
+
+    @property
     def turn(self) -> float:
         """What a lap adds to the yaw, a multiple of 2π."""
         return float(2 * np.pi * np.round((self.stretch.yaw[-1] - self.stretch.yaw[0]) / (2 * np.pi)))

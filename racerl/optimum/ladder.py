@@ -12,7 +12,7 @@ from racerl.errors import OptimumError
 from racerl.optimum.along import V_X
 from racerl.optimum.collocation import Collocation, Guess, Solution
 from racerl.optimum.corridor import Corridor
-from racerl.optimum.optimum import best_start
+from racerl.optimum.optimum import starts
 from racerl.track.track import Track
 from racerl.vehicle.vehicle import Vehicle
 
@@ -60,7 +60,7 @@ def find_ladder(vehicle: Vehicle, track: Track, action: Action, corridor: Corrid
 def _started(problem: Collocation, last: bool) -> list[Solution]:
     """Return the best lap of all first guesses; none where there is none, an OptimumError if it is the `last` hope."""
     try:
-        return [best_start(problem)]
+        return starts(problem)[:1]
     except OptimumError:
         if last:
             raise

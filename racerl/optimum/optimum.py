@@ -6,7 +6,7 @@ line or turned into the turns, and the best lap found is refined until its time 
 """
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,6 +38,7 @@ LEAST_INTERVALS = 60
 SETTLED = 1e-3  # of the lap time, between two meshes
 REFINEMENTS = 4  # doublings at most
 SLIDING = (0.0, 0.6, 1.2)  # rad, sideslip of the first guesses
+DISTINCT = 5e-3  # of the lap time, by which two first guesses have led to two laps
 
 Array = NDArray[np.float64]
 
@@ -49,6 +50,7 @@ class Optimum:
     solution: Solution
     corridor: Corridor
     meshes: list[dict[str, float]]  # intervals, time_s
+    ways: list[dict[str, float]]  # time_s and sideslip_rad of the different laps on the first mesh, the fastest first
 
     @property
     def time(self) -> float:
@@ -71,7 +73,8 @@ def find_optimum(
     corridor = Corridor(track)
     narrowest = float((track.width_left + track.width_right).min() / 2)
     intervals = max(LEAST_INTERVALS, round(corridor.length / (COARSEST * narrowest)))
-    best = best_start(Collocation(vehicle, action, corridor, intervals))
+    started = starts(Collocation(vehicle, action, corridor, intervals))
+    best = started[0]
     meshes = [{"intervals": intervals, "time_s": best.time}]
     for refinement in range(REFINEMENTS):
         on_share((1 + refinement) / (1 + REFINEMENTS))
@@ -80,12 +83,12 @@ def find_optimum(
         change, best = abs(finer.time / best.time - 1.0), finer
         meshes.append({"intervals": intervals, "time_s": best.time})
         if change < SETTLED:
-            return Optimum(best, corridor, meshes)
+            return Optimum(best, corridor, meshes, different(started))
     raise OptimumError(f"the lap time has not settled: it still moves by {change:.1%} at {intervals} intervals")
 
 
-def best_start(problem: Collocation) -> Solution:
-    """Return the best lap that the first guesses lead to; raise OptimumError when none leads to any."""
+def starts(problem: Collocation) -> list[Solution]:
+    """Return the laps that the first guesses lead to, the fastest first; raise OptimumError when none leads to any."""
 
     def solve(sliding: float) -> Solution | OptimumError:
         try:
@@ -98,7 +101,16 @@ def best_start(problem: Collocation) -> Solution:
     found = [outcome for outcome in outcomes if isinstance(outcome, Solution)]
     if not found:
         raise next(outcome for outcome in outcomes[::-1] if isinstance(outcome, OptimumError))
-    return min(found, key=lambda solution: solution.time)
+    return sorted(found, key=lambda solution: solution.time)
+
+
+def different(laps: Sequence[Solution]) -> list[dict[str, float]]:
+    """Return time and greatest sideslip of laps, the fastest first, but for those that take as long as another."""
+    ways: list[dict[str, float]] = []
+    for lap in laps:
+        if not ways or lap.time > (1 + DISTINCT) * ways[-1]["time_s"]:
+            ways.append({"time_s": lap.time, "sideslip_rad": lap.largest_sideslip})
+    return ways
 
 
 def replay(vehicle: Vehicle, held: Held) -> Array:
@@ -141,6 +153,7 @@ def optimum(
         "track": track.name,
         "time_s": best.time,
         "meshes": best.meshes,
+        "ways": best.ways,
         "held": {
             "time_s": held.time,
             "period_s": held.period,

@@ -9,6 +9,8 @@ A layer's ε is a bᵀ with normally distributed a and b, others for every pair 
 cars then share one matrix product. Weights are counted with their inputs' root mean square r as unit, W r, so that no
 input decides alone; σ and α are shares of their root mean square and fall; `most` grows, so that crashes count more
 in the end. The states are those of cars that the policy drives; both of a pair have one draw of random parameters.
+A tenth or so of the pairs begin at starts; a start that ended in a crash is mostly tried again, so that the policy
+practises what it cannot do.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -41,6 +43,7 @@ class Refinement:
     horizon: int
     between: int
     episode: int
+    again: float
     perturbation: Sequence[float]
     step: Sequence[float]
     most: Sequence[float]
@@ -58,6 +61,7 @@ class Refinement:
             for number in pair:
                 bounds.number(f"budget.refinement.{name}", number, 1e-9, largest)
         bounds.number("budget.refinement.momentum", self.momentum, 0.0, 0.999)
+        bounds.number("budget.refinement.again", self.again, 0.0, 0.999)
 
     @property
     def steps(self) -> int:
@@ -81,7 +85,7 @@ def refine(session: Session, settings: Refinement, policy: Policy, before: int, 
     crash, all of whose laps stay on the track, 0 where the best before was such; None if there was none.
     """
     session.logger.dump(before)
-    search = Search(settings, policy.network, lambda cars: _race(session, settings, cars), session.seed)
+    search = Search(settings, policy.network, lambda cars: _race(session, cars), session.seed)
     clean = search.resume(session)
     if clean is None and session.best and _clean(session.best):
         clean = 0.0
@@ -118,10 +122,53 @@ def _clean(evaluation: Mapping[str, Any]) -> bool:
     return bool(evaluation["laps"]) and evaluation["valid_laps"] == evaluation["laps"]
 
 
-def _race(session: Session, settings: Refinement, cars: int) -> Race:
-    """Return the cars that the policy drives, or their pairs, which no episode's length cuts off."""
-    sim = {**session.settings["sim"], "max_steps": settings.episode if cars == settings.pairs else 2**31}
+def _race(session: Session, cars: int) -> Race:
+    """Return cars whose episodes no length cuts off."""
+    sim = {**session.settings["sim"], "max_steps": 2**31}
     return build_race({**session.settings, "sim": sim}, cars=cars, seeds=[session.seed], device=session.device)
+
+
+class Practice:
+    """The cars that the policy drives between two steps of its weights, from whose states the pairs start.
+
+    A car starts anew when its episode is over, and after a crash, then mostly from where it had started.
+    """
+
+    def __init__(self, race: Race, settings: Refinement, dice: torch.Generator) -> None:
+        self.race, self.settings, self.dice = race, settings, dice
+        # episodes end one after the other
+        race.age = torch.arange(race.count, device=race.device) * settings.episode // race.count
+        self.starts, self.commands = race.state.clone(), race.command.clone()
+
+    def drive(self, network: nn.Module) -> None:
+        """Drive for a while; cars whose episode is over then stand at their next start."""
+        for _ in range(self.settings.between):
+            self._return(self.race.step(network(self.race.observe())).terminated)
+        over = self.race.age >= self.settings.episode
+        self.race.restart(over)
+        self._remember(over)
+
+    def _return(self, crashed: Tensor) -> None:
+        """Put crashed cars, which stand at new starts, back to where they had started, but for a few."""
+        if not bool(crashed.any()):
+            return
+        again = torch.rand(self.race.count, generator=self.dice, device=self.race.device) < self.settings.again
+        self._remember(crashed & ~again)
+        cars = (crashed & again).nonzero()[:, 0]
+        self.race.put(cars, self.starts[:, cars], self.commands[:, cars])
+
+    def _remember(self, cars: Tensor) -> None:
+        self.starts = torch.where(cars, self.race.state, self.starts)
+        self.commands = torch.where(cars, self.race.command, self.commands)
+
+    def snapshot(self) -> dict[str, Tensor]:
+        """Return all that what it does next depends on, but for the dice."""
+        return {**self.race.snapshot(), "starts": self.starts, "start_commands": self.commands}
+
+    def restore(self, kept: dict[str, Tensor]) -> None:
+        """Go on from a snapshot."""
+        self.starts, self.commands = (kept.pop(name).to(self.race.device) for name in ("starts", "start_commands"))
+        self.race.restore(kept)
 
 
 class Search:
@@ -132,6 +179,7 @@ class Search:
         self.settings = settings
         self.lead, self.race = build(settings.pairs), build(2 * settings.pairs)
         self.dice = torch.Generator(self.lead.device).manual_seed(seed)
+        self.practice = Practice(self.lead, settings, self.dice)
         self.network = network
         self.linear = [layer for layer in network if isinstance(layer, nn.Linear)]
         self.momentum = [torch.zeros_like(_whole(layer)) for layer in self.linear]
@@ -143,8 +191,7 @@ class Search:
         settings = self.settings
         sigma = settings.at(settings.perturbation, self.generation)
         alpha = settings.at(settings.step, self.generation)
-        for _ in range(settings.between):
-            self.lead.step(self.network(self.lead.observe()))
+        self.practice.drive(self.network)
         self._begin()
         scales = self._scales()
         normal = [self._normal(layer, scale) for layer, scale in zip(self.linear, scales, strict=True)]
@@ -177,7 +224,7 @@ class Search:
         """Write a checkpoint: all that the next generation depends on, and what the session knows."""
         tensors = {f"network.{name}": tensor for name, tensor in self.network.state_dict().items()}
         tensors |= {f"momentum.{i}": tensor for i, tensor in enumerate(self.momentum)}
-        tensors |= {f"lead.{name}": tensor for name, tensor in self.lead.snapshot().items()}
+        tensors |= {f"lead.{name}": tensor for name, tensor in self.practice.snapshot().items()}
         tensors |= {"race.dice": self.race.dice.snapshot(), "dice": self.dice.get_state()}
         facts = {
             "generation": self.generation,
@@ -209,7 +256,7 @@ class Search:
     def _restore(self, tensors: dict[str, Tensor]) -> None:
         self.network.load_state_dict(section(tensors, "network."))
         self.momentum = [tensors[f"momentum.{i}"].to(self.lead.device) for i in range(len(self.linear))]
-        self.lead.restore(section(tensors, "lead."))
+        self.practice.restore(section(tensors, "lead."))
         self.race.dice.restore(tensors["race.dice"])
         self.dice.set_state(tensors["dice"])
 

@@ -42,7 +42,7 @@ def test_draws_stay_inside_the_bounds():
 def test_only_cars_that_start_over_are_drawn_anew():
     race = make("dr=friction_0.1", cars=6)
     before = race.draws.values.clone()
-    race._restart(torch.tensor([True, False, False, True, False, False]))
+    race.restart(torch.tensor([True, False, False, True, False, False]))
     changed = (race.draws.values != before).any(dim=0)
     assert changed.tolist() == [True, False, False, True, False, False]
 

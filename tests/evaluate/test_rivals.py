@@ -63,7 +63,7 @@ def test_laps_are_set_against_the_optimum_that_nobody_asked_for(line, tmp_path, 
             raise OptimumError("no lap")
         corridor = Corridor(track)
         problem = Collocation(vehicle, action, corridor, 60)
-        return Optimum(problem.solve(problem.guess(0.0)), corridor, [])
+        return Optimum(problem.solve(problem.guess(0.0)), corridor, [], [])
 
     monkeypatch.setattr(kept, "find_optimum", find)
     told = []

@@ -31,7 +31,7 @@ def coarse(parts):
     vehicle, track, action = parts
     corridor = Corridor(track)
     problem = Collocation(vehicle, action, corridor, 60)
-    return Optimum(problem.solve(problem.guess(0.0)), corridor, [])
+    return Optimum(problem.solve(problem.guess(0.0)), corridor, [], [])
 
 
 @pytest.fixture

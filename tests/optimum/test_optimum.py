@@ -15,7 +15,17 @@ from racerl.errors import OptimumError, RacerlError
 from racerl.optimum.collocation import Collocation
 from racerl.optimum.corridor import Corridor
 from racerl.optimum.held import hold
-from racerl.optimum.optimum import RACELINE, RESULT, SLIDING, find_optimum, margins, optimum, replay
+from racerl.optimum.optimum import (
+    RACELINE,
+    RESULT,
+    SLIDING,
+    different,
+    find_optimum,
+    margins,
+    optimum,
+    replay,
+    starts,
+)
 from racerl.track.track import Track
 from racerl.track.track import build_track as spline_track
 from tests.conftest import CONF
@@ -75,6 +85,16 @@ def test_it_settles_from_the_best_of_its_guesses(best, parts):
     along, sliding = (problem.solve(problem.guess(way)).time for way in (0.0, 1.2))
     assert sliding < along  # this car gains from sliding, and the better guess was taken
     assert best.meshes[0]["time_s"] == pytest.approx(sliding, abs=1e-6)
+
+
+def test_a_car_that_may_grip_or_slide_round_has_two_ways():
+    settings = compose_settings("optimum", ["vehicle=jetracer", "track=oval"])
+    corridor = Corridor(build_track(settings))
+    laps = starts(Collocation(build_vehicle(settings), build_action(settings), corridor, 94))
+    fast, slow = different(laps)
+    assert fast["time_s"] == min(lap.time for lap in laps) and slow["time_s"] > 1.03 * fast["time_s"]
+    assert fast["sideslip_rad"] > slow["sideslip_rad"] + 0.2  # it slides, the other does less
+    assert len(laps) == len(SLIDING)  # two of them are the same lap, told once
 
 
 @pytest.mark.parametrize(

@@ -88,7 +88,7 @@ def test_a_lap_that_is_not_found_is_left_out(settings, monkeypatch):
             return Rung(problem)
 
         monkeypatch.setattr(Collocation, "solve", solve)
-        monkeypatch.setattr("racerl.optimum.ladder.best_start", lambda problem: problem.solve(None))
+        monkeypatch.setattr("racerl.optimum.ladder.starts", lambda problem: [problem.solve(None)])
         race = build_race(settings, cars=1, seeds=[0])
         return find_ladder(race.vehicle, race.track, race.action, Corridor(race.track))
 

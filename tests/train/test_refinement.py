@@ -16,7 +16,16 @@ from racerl.train import train as training
 from racerl.train.refinement import FILE, Refinement, Search
 from racerl.train.train import UNREFINED, train
 
-SHORT = {"generations": 2, "evaluations": 1, "pairs": 16, "horizon": 20, "between": 5, "episode": 40, "momentum": 0.9}
+SHORT = {
+    "generations": 2,
+    "evaluations": 1,
+    "pairs": 16,
+    "horizon": 20,
+    "between": 5,
+    "episode": 40,
+    "again": 0.9,
+    "momentum": 0.9,
+}
 SHORT |= {"perturbation": "[0.02,0.005]", "step": "[0.005,0.0005]", "most": "[0.3,1.0]"}
 REFINED = f"budget.refinement={{{','.join(f'{key}:{value}' for key, value in SHORT.items())}}}"
 SMOKE = ["budget=smoke", "threads=1", "budget.steps=1024", REFINED]
@@ -27,6 +36,7 @@ PLAN = Refinement(
     horizon=20,
     between=3,
     episode=60,
+    again=0.5,
     perturbation=[0.1, 0.1],
     step=[0.1, 0.1],
     most=[1.0, 1.0],
@@ -107,6 +117,31 @@ def test_a_crash_does_not_decide_alone(monkeypatch):
         found.advance()
         steps.append(found.linear[0].weight - before)
     assert torch.equal(*steps)
+
+
+def test_a_start_that_ends_in_a_crash_is_tried_again():
+    """Cars that steer hard leave the track; without a second try their next episode begins elsewhere."""
+    for again, share in ((0.0, 0.0), (0.999, 1.0)):
+        found = search(replace(PLAN, again=again, between=40, episode=10**6), "track=oval")
+        for layer in found.linear:
+            layer.weight.zero_()
+        found.linear[1].bias.copy_(torch.tensor([1.0, 0.5]))
+        before = found.practice.starts.clone()
+        found.practice.drive(found.network)
+        assert (found.lead.age < 40).all()  # all have crashed
+        assert (found.practice.starts == before).all(dim=0).float().mean() == share
+    # and the start that counts is where the episode began
+    steps = int(found.lead.age.max())
+    assert steps > 0 and torch.equal(
+        found.practice.starts[:, found.lead.age == 0], found.lead.state[:, found.lead.age == 0]
+    )
+
+
+def test_a_share_of_the_pairs_begins_at_starts():
+    found = search(replace(PLAN, between=6, episode=60))
+    for _ in range(4):
+        found.practice.drive(found.network)
+        assert 0.05 < (found.lead.age == 0).float().mean() < 0.4
 
 
 class Killed(Exception):
