@@ -14,13 +14,14 @@ from racerl.env.actions import Action, create_action
 from racerl.env.observations import create_observation
 from racerl.env.race import Race, Timing
 from racerl.env.randomize import Randomization
+from racerl.env.sensing import check_estimate
 from racerl.env.termination import OffTrack, Termination
-from racerl.errors import ConfigError, suggest
+from racerl.errors import ConfigError
 from racerl.registry import construct
 from racerl.track.load import load_track
 from racerl.track.track import Track
 from racerl.vehicle.load import load_vehicle
-from racerl.vehicle.vehicle import STATE, Vehicle
+from racerl.vehicle.vehicle import Vehicle
 
 Settings = Mapping[str, Any]
 
@@ -55,10 +56,7 @@ class Car:
     sensors: Mapping[str, float] = field(default_factory=dict)  # noise of what is recorded
 
     def __post_init__(self) -> None:
-        for state, deviation in self.estimate.items():
-            if state not in STATE:
-                raise ConfigError(f"car.estimate has no state '{state}'{suggest(state, STATE)}")
-            bounds.number(f"car.estimate.{state}", deviation, 0.0, 10.0)
+        check_estimate("car.estimate", self.estimate)
 
     def wear(self, vehicle: Settings) -> dict[str, Any]:
         """Return the settings of the vehicle that this car is; any but `model` keeps its numbers."""
@@ -144,7 +142,7 @@ def build_race(
 ) -> Race:
     """Build the race that the settings describe, for `cars` cars, with one seed for all or one for each.
 
-    `noise` is that of what drivers see, a standard deviation per state.
+    `noise` is that of what drivers see, a standard deviation per state, in place of the randomization's.
     """
     check_settings(settings)
     action = build_action(settings)

@@ -168,8 +168,9 @@ class Race(Rows):
         # the latest commands, newest first, as far as any acts late
         self.history = torch.zeros(late + 1 if late else 0, 2, self.count, device=self.device, dtype=self.dtype)
         # what sensors showed, newest first, where they do not show the truth at once
-        self.spread = self.constant([float(self.noise.get(name, 0.0)) for name in STATE])[:, None]
-        self._noisy = any(self.noise.values())
+        noise = self.noise or self.randomization.estimate
+        self.spread = self.constant([float(noise.get(name, 0.0)) for name in STATE])[:, None]
+        self._noisy = any(noise.values())
         past = samples(self.vehicle, self.timing.dt, self._noisy)
         self._late, self._sensed = late > 0, past > 0
         self.shown = self.state.new_zeros(past, len(STATE), self.count)
@@ -239,6 +240,9 @@ class Race(Rows):
 
     def _apply(self, action: Tensor) -> None:
         last = self.command
+        if self.randomization.actions:
+            noise = self.dice.normal(2, torch.arange(self.count, device=self.device))
+            action = action + self.randomization.actions * noise.T
         clamped = torch.nan_to_num(action.to(self.dtype)).clamp(-1.0, 1.0)
         self.command = self.action.command(clamped, last, self.timing.dt)
         self.command_rate = (self.command[1] - last[1]) / self.timing.dt

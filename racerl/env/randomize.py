@@ -3,17 +3,20 @@
 With `each_lap` it is drawn anew at every crossing of the line, too: a floor and tyres that change from lap to lap.
 
 Parameters are chosen by dotted name or pattern (`friction`, `*.p_Ky1`). Draws are kept inside the physical bounds.
+Noise, of what the driver sees and of what it does, is drawn at every control step.
 """
 
 import fnmatch
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
 
+from racerl import bounds
 from racerl.env.chosen import Chosen
 from racerl.env.dice import Dice
+from racerl.env.sensing import check_estimate
 from racerl.errors import ConfigError, suggest
 from racerl.vehicle.parameter import specifications, values
 from racerl.vehicle.vehicle import Vehicle
@@ -26,8 +29,12 @@ class Randomization:
     sigma: float = 0.0
     parameters: Sequence[str] = ()
     each_lap: bool = False
+    estimate: Mapping[str, float] = field(default_factory=dict)  # noise of what the driver sees, deviation per state
+    actions: float = 0.0  # noise of the actions, deviation in their scale of ± 1
 
     def __post_init__(self) -> None:
+        check_estimate("dr.estimate", self.estimate)
+        bounds.number("dr.actions", self.actions, 0.0, 1.0)
         if not isinstance(self.sigma, (int, float)) or not 0.0 <= self.sigma <= 1.0:
             raise ConfigError(f"dr.sigma = {self.sigma}: allowed is 0 … 1 (a share of each value)")
 

@@ -4,12 +4,25 @@ seen(t) = measure(true)(t − T), T the latency of each channel; between control
 """
 
 import math
+from typing import Any
 
 import torch
 from torch import Tensor
 
+from racerl import bounds
+from racerl.errors import ConfigError, suggest
 from racerl.vehicle.ops import TORCH
 from racerl.vehicle.vehicle import STATE, Vehicle
+
+
+def check_estimate(key: str, noise: Any) -> None:
+    """Raise ConfigError for noise of what a driver sees that is no deviation, 0 … 10, per state."""
+    if not hasattr(noise, "items"):
+        raise ConfigError(f"{key} = {noise}: a mapping from states to deviations is expected, such as {{v_y: 0.02}}")
+    for state, deviation in noise.items():
+        if state not in STATE:
+            raise ConfigError(f"{key} has no state '{state}'{suggest(state, STATE)}")
+        bounds.number(f"{key}.{state}", deviation, 0.0, 10.0)
 
 
 def samples(vehicle: Vehicle, period: float, noisy: bool = False) -> int:

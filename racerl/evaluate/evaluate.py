@@ -117,6 +117,8 @@ def label(settings: Mapping[str, Any]) -> str:
     dr = construct(Randomization, settings["dr"], "dr")
     kind = dr.parameters[0] if len(dr.parameters) == 1 else "all" if dr.parameters else ""
     parts.append(f"{kind} σ = {dr.sigma:g}" if dr.sigma else "no randomization")
+    if dr.actions or any(dr.estimate.values()):
+        parts.append("noise")
     if not settings["sim"]["actuators"]:
         parts.append("no actuator model")
     parts.append(learned(settings))

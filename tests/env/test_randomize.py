@@ -58,10 +58,25 @@ def test_randomized_friction_changes_the_drive():
     assert (race.state[5][order].diff() >= -1e-5).all()  # more friction, more yaw rate
 
 
+def test_noise_is_on_what_is_seen_and_what_is_done():
+    race = make("dr=friction_0.02_noise", "dr.actions=0.1", cars=4000)
+    race.step(torch.zeros(4000, 2))
+    assert float(race.command[0].std()) == pytest.approx(0.1 * race.action.steering_max, rel=0.1)
+    error = race.seen()[0] - race.state[:8]
+    assert float(error[4].std()) == pytest.approx(0.018, rel=0.1)
+    exact = make("dr=friction_0.02", cars=10)
+    exact.step(torch.zeros(10, 2))
+    assert not exact.command[0].any() and exact.seen()[0] is exact.state
+
+
 @pytest.mark.parametrize(
     "override, said",
     [
         ("dr.parameters=[fricton]", "friction"),
+        ("dr.actions=-0.1", "dr.actions"),
+        ("dr.estimate.v_z=0.1", "did you mean"),
+        ("dr.estimate.v_y=-0.1", "dr.estimate.v_y"),
+        ("dr.estimate=0.1", "mapping"),
         ("dr.sigma=2", "0 … 1"),
         ("dr.sigma=-0.1", "0 … 1"),
     ],
