@@ -83,7 +83,9 @@ def compare(settings: Mapping[str, Any], out: Path, outputs: Path = Path("output
         headline=headline(a.lap, b.lap),
         words=words,
         rows=[table_row(a.subject), table_row(b.subject), *paper_rows()],
-        figure=figure(folder.path / "compare.svg", "Lines, speed, delta time and steering", caption, svg),
+        figure=figure(
+            folder.path / "compare.svg", "Lines, speed, delta time, steering, side slip and margin", caption, svg
+        ),
         provenance=[row for driver in (a, b) for row in origins(driver.subject)],
     )
     folder.finish()

@@ -19,7 +19,7 @@ from racerl.report.page import figure, interval, number, provenance, write_page
 from racerl.report.subjects import Evaluation, find_subjects
 from racerl.run import RunFolder
 from racerl.sweep.conclusions import banner, headline
-from racerl.sweep.definition import METRICS
+from racerl.sweep.definition import METRICS, OF_TRAINING
 from racerl.sweep.statistics import told
 from racerl.sweep.sweep import LAPS, LEARNING, RESULTS, STEERING, TRAININGS
 
@@ -223,7 +223,7 @@ def _test(test: dict[str, Any]) -> dict[str, Any]:
 
 def _sentence(test: dict[str, Any], effect: float | None, ci95: Sequence[float] | None, unit: str) -> str:
     """Return what a test found, numbers in `unit`; what it compares where it found nothing."""
-    where = "" if test["metric"] == "reward" else f"In the {test['car']}, "
+    where = "" if test["metric"] in OF_TRAINING else f"In the {test['car']}, "
     name = METRICS[test["metric"]].name
     ours, theirs = (
         _together({arm: abs(weight) for arm, weight in test["weights"].items() if (weight > 0) == first})

@@ -29,6 +29,7 @@ class Metric:
         return f"{self.name} [{self.unit}]"
 
 
+ARRIVALS = (10, 5, 3, 2)  # % over the time-optimal lap, that a training's examination comes down to
 METRICS = {
     "lap_time": Metric("mean lap", "s"),
     "fastest": Metric("fastest valid lap", "s"),
@@ -38,7 +39,9 @@ METRICS = {
     "off_track": Metric("furthest way off the track", "m"),
     "turn_in": Metric("lead of the steering over the track's curvature", "m"),
     "reward": Metric("training reward per step", "m", digits=4),
+    **{f"to_{percent}": Metric(f"training to {percent} % over the optimum", "s", digits=0) for percent in ARRIVALS},
 }
+OF_TRAINING = ("reward", *(f"to_{percent}" for percent in ARRIVALS))  # of a training, not of the laps driven
 
 
 @dataclass(frozen=True)

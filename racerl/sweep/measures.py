@@ -4,6 +4,7 @@ Turn-in: the distance by which a lap's steering δ(s) leads the track's curvatur
 ∮ δ(s) κ(s + d) ds, in m.
 """
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -14,12 +15,14 @@ from numpy.typing import NDArray
 from racerl.documents import read_json
 from racerl.errors import DocumentError, RunError
 from racerl.evaluate.outcome import METRICS, TRACK, TRAJECTORIES
+from racerl.sweep.definition import ARRIVALS
 from racerl.sweep.jobs import Job
 from racerl.train.session import read_progress
 
 # columns of a lap
 LAP = ("car", "start", "number", "time_s", "e_off", "off_track_m", "crashed", "valid", "turn_in_m")
 Array = NDArray[np.float64]
+MODEL = "model"  # the car whose time-optimal lap counts
 SHARE = 0.1  # of a training's end, over which its reward is averaged
 STEP, REACH = 0.05, 2.0  # m, of the grid that turn-in is looked for on, and how far
 COARSE = 0.1  # m, of the grid that steering is kept on
@@ -70,6 +73,26 @@ def final_reward(table: pd.DataFrame) -> float | None:
         return None
     last = table[table["steps"] >= (1.0 - SHARE) * table["steps"].iloc[-1]]
     return float(last["reward"].mean())
+
+
+def arrivals(job: Job, cars: Sequence[str]) -> dict[str, float]:
+    """Return after how many seconds of training a policy was first within so many percent of the time-optimal lap.
+
+    Settled laps of examinations without a crash count, in the training's own cars. NaN where none is near enough, and
+    where the time-optimal lap of the model is not known.
+    """
+    found = {f"to_{percent}": math.nan for percent in ARRIVALS}
+    floor = read_json(job.race(MODEL) / METRICS)["optimum_s"] if MODEL in cars else None
+    if job.train is None or floor is None:
+        return found
+    columns = ["time/seconds", "evaluation/settled_lap_s", "evaluation/crash_share"]
+    examined = read_progress(job.trained).reindex(columns=columns).dropna()
+    for percent in ARRIVALS:
+        near = examined[columns[1]] <= (1.0 + percent / 100.0) * floor
+        arrived = examined[near & (examined[columns[2]] == 0.0)]
+        if len(arrived):
+            found[f"to_{percent}"] = float(arrived[columns[0]].iloc[0])
+    return found
 
 
 def turn_ins(drive: pd.DataFrame, track: pd.DataFrame) -> dict[tuple[int, int], float]:

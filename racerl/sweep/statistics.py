@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from racerl.sweep.definition import METRICS, Claim, Comparison, Sweep
+from racerl.sweep.definition import METRICS, OF_TRAINING, Claim, Comparison, Sweep
 from racerl.sweep.jobs import UNTRAINED
 
 Array = NDArray[np.float64]
@@ -73,7 +73,10 @@ def resample(laps: pd.DataFrame, rewards: pd.DataFrame, generator: np.random.Gen
     for arm, seed, start in blocks:
         starts.setdefault((arm, seed), []).append(start)
     most = max(map(len, starts.values()), default=0)
-    reward = {(row.arm, row.seed): row.reward for row in rewards.itertuples()}
+    learned = {
+        (arm, seed): dict(zip(OF_TRAINING, row, strict=True))
+        for arm, seed, *row in rewards.reindex(columns=["arm", "seed", *OF_TRAINING]).itertuples(index=False)
+    }
 
     def metrics(arm: str, seed: int, places: Array | None = None) -> dict[str, float]:
         own = starts.get((arm, seed), [])
@@ -83,9 +86,9 @@ def resample(laps: pd.DataFrame, rewards: pd.DataFrame, generator: np.random.Gen
             parts = [blocks[arm, seed, own[int(place * len(own))]] for place in places[: len(own)]]
             parts = [part[generator.integers(len(part), size=len(part))] for part in parts]
         laps = np.concatenate(parts) if parts else np.zeros((0, len(MEASURES)))
-        return {**_metrics(laps), "reward": float(reward.get((arm, seed), math.nan))}
+        return {**_metrics(laps), **{name: float(learned[arm, seed][name]) for name in OF_TRAINING}}
 
-    of = {arm: [seed for seed in (UNTRAINED, *seeds) if (arm, seed) in reward] for arm in arms}
+    of = {arm: [seed for seed in (UNTRAINED, *seeds) if (arm, seed) in learned] for arm in arms}
     per_seed = {arm: _table([metrics(arm, seed) for seed in of[arm]]) for arm in arms}
     rows: dict[str, list[dict[str, float]]] = {arm: [] for arm in arms}
     for _ in range(RESAMPLES):
@@ -105,7 +108,7 @@ def _metrics(laps: Array) -> dict[str, float]:
     """Return the metrics of laps (L, 6) in the order of MEASURES; NaN where there is none to take it from."""
     time, e_off, off, crashed, valid, lead = laps.T
     if not len(laps):  # a car that creeps is given up before its first
-        return {name: math.nan for name in METRICS if name != "reward"}
+        return {name: math.nan for name in METRICS if name not in OF_TRAINING}
     timed, clean, led = time[~np.isnan(time)], time[valid > 0.5], lead[~np.isnan(lead)]
     return {
         "lap_time": float(timed.mean()) if len(timed) else math.nan,

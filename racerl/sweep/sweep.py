@@ -20,7 +20,7 @@ from racerl.run import MANIFEST, Compose, RunFolder
 from racerl.sweep.definition import Sweep, read_sweeps
 from racerl.sweep.engine import LOGS, Engine, Status, alone
 from racerl.sweep.jobs import Plan, plan
-from racerl.sweep.measures import LAP, final_reward, learning, measure, usual_steering
+from racerl.sweep.measures import LAP, arrivals, final_reward, learning, measure, usual_steering
 from racerl.sweep.statistics import Samples, judge, resample
 
 RESULTS, LAPS, LEARNING = "results.json", "laps.csv", "learning.csv"
@@ -110,7 +110,7 @@ def gather(planned: Plan, cars: Sequence[str], laps: int) -> dict[str, pd.DataFr
         driven, curve = measured[job.name]
         where = {"sweep": sweep, "arm": arm, "seed": seed}
         rows += [{**where, **row} for row in driven]
-        trainings.append({**where, "reward": final_reward(curve), "job": job.path.name})
+        trainings.append({**where, "reward": final_reward(curve), **arrivals(job, cars), "job": job.path.name})
         curves.append(_thinned(curve).assign(**where))
         if sweep in turning:
             steering += [usual_steering(job, car).assign(**where, car=car) for car in cars]

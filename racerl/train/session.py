@@ -119,6 +119,7 @@ class Session:
     def examine(self, policy: Policy, steps: int, *, improving: bool = False, key: Key = rank) -> None:
         """Evaluate a policy and keep it when it is the best so far by `key`, or anyhow where they are `improving`."""
         self.last = {**self.examiner.examine(policy), "steps": steps}
+        self.logger.record("time/seconds", self.seconds)
         for name, value in self.last.items():
             if isinstance(value, (int, float)):
                 self.logger.record(f"evaluation/{name}", value)

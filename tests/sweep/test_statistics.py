@@ -1,5 +1,9 @@
 """From laps to verdicts, on laps whose truth is known."""
 
+import json
+import math
+from types import SimpleNamespace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -7,7 +11,7 @@ import pytest
 from racerl.sweep import statistics
 from racerl.sweep.definition import Claim, Comparison, Sweep
 from racerl.sweep.jobs import UNTRAINED
-from racerl.sweep.measures import STEP, final_reward, turn_in
+from racerl.sweep.measures import STEP, arrivals, final_reward, turn_in
 from racerl.sweep.statistics import contrast, judge, resample, spread, told
 
 SLOWER = Comparison(metric="lap_time", contrast={"b": 1.0, "a": -1.0}, above=0.0)
@@ -158,3 +162,23 @@ def test_the_reward_is_that_of_the_end():
     steps = np.arange(1, 101)
     assert final_reward(pd.DataFrame({"steps": steps, "reward": np.where(steps >= 90, 0.5, 0.0)})) == 0.5
     assert final_reward(pd.DataFrame({"steps": [], "reward": []})) is None
+
+
+def test_a_policy_arrives_with_its_first_examination_that_is_near_enough_and_without_a_crash(tmp_path):
+    raced, trained = tmp_path / "raced", tmp_path / "trained"
+    raced.mkdir()
+    trained.mkdir()
+    (raced / "metrics.json").write_text(json.dumps({"optimum_s": 5.0}))
+    examined = [(10, 5.6, 0.0), (20, 5.2, 0.5), (30, 5.3, 0.0), (40, None, 1.0), (50, 5.12, 0.0), (60, 5.2, 0.0)]
+    lines = [
+        {"steps": second, "time/seconds": second, "evaluation/settled_lap_s": lap, "evaluation/crash_share": crashed}
+        for second, lap, crashed in examined
+    ]
+    (trained / "progress.jsonl").write_text("".join(json.dumps(line) + "\n" for line in [{"steps": 1}, *lines]))
+    job = SimpleNamespace(race=lambda car: raced, trained=trained, train={})
+    found = arrivals(job, ["twin", "model"])
+    assert found["to_10"] == 30.0 and found["to_3"] == 50.0 and math.isnan(found["to_2"])
+    assert all(math.isnan(seconds) for seconds in arrivals(job, ["twin"]).values())
+    assert all(
+        math.isnan(seconds) for seconds in arrivals(SimpleNamespace(**{**vars(job), "train": None}), ["model"]).values()
+    )

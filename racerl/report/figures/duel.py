@@ -1,4 +1,7 @@
-"""The paper's Fig. 6 for any two drivers: lines with marks at equal times, speed, delta time and steering along s."""
+"""The paper's Fig. 6 for any two drivers: lines with marks at equal times, speed, delta time and steering along s.
+
+Below them what the paper does not show: side slip, and the margin to the nearer edge.
+"""
 
 from collections.abc import Sequence
 from typing import Any
@@ -32,20 +35,29 @@ def draw(
     looks = [look | {"color": own} for look, own in zip(LOOKS, colours, strict=False)] + list(LOOKS[2:])
     with style():
         tall = float(np.clip(8.0 * np.ptp(track["y_m"]) / np.ptp(track["x_m"]), 3.0, 6.2))  # in, of the first panel
-        figure = Figure(figsize=(WIDTH, 6.3 + tall))
-        grid = figure.add_gridspec(4, 1, height_ratios=[tall, 2.1, 2.1, 2.1])
+        figure = Figure(figsize=(WIDTH, 10.5 + tall))
+        grid = figure.add_gridspec(6, 1, height_ratios=[tall, 2.1, 2.1, 2.1, 2.1, 2.1])
         _draw_lines(figure.add_subplot(grid[0]), a, b, track, looks)
         speed = figure.add_subplot(grid[1])
-        delta, steering = (figure.add_subplot(grid[row], sharex=speed) for row in (2, 3))
+        delta, steering, slip, margin = (figure.add_subplot(grid[row], sharex=speed) for row in (2, 3, 4, 5))
         for lap, look in zip((a, b, *paper), looks, strict=False):
             speed.plot(lap.samples["s"], lap.samples["v_x"], label=lap.driver, **look)
             steering.plot(lap.samples["s"], lap.samples["delta"], **look)
+            if "v_y" in lap.samples:
+                course = np.arctan2(lap.samples["v_y"], lap.samples["v_x"])
+                slip.plot(lap.samples["s"], np.degrees(course), **look)
+            if "margin" in lap.samples:
+                margin.plot(lap.samples["s"], lap.samples["margin"], **look)
+        for axis in (slip, margin):
+            axis.axhline(0.0, color="black", lw=0.6)
         _draw_delta_time(delta, a, b, paper)
         speed.set(ylabel="(b) v_x [m/s]", xlim=(0.0, a.length))
-        steering.set(ylabel="(d) steering δ [rad]", xlabel="s along the centreline [m]")
-        for axis in (speed, delta):
+        steering.set(ylabel="(d) steering δ [rad]")
+        slip.set(ylabel="(e) side slip β [°]")
+        margin.set(ylabel="(f) margin to the\nnearer edge [m]", xlabel="s along the centreline [m]")
+        for axis in (speed, delta, steering, slip):
             axis.tick_params(labelbottom=False)
-        figure.align_ylabels([speed, delta, steering])
+        figure.align_ylabels([speed, delta, steering, slip, margin])
         figure.legend(*speed.get_legend_handles_labels(), loc="outside upper left", ncols=1, fontsize=9)
         return to_svg(figure)
 
