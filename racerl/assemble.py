@@ -131,6 +131,11 @@ def choose_device(name: str) -> torch.device:
     return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")
 
 
+def unlimited(settings: Settings) -> dict[str, Any]:
+    """Return the settings of a race whose episodes no length cuts off."""
+    return {**settings, "sim": {**settings["sim"], "max_steps": 2**31}}
+
+
 def build_race(
     settings: Settings,
     *,

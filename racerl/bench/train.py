@@ -20,7 +20,7 @@ import numpy as np
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 
-from racerl.assemble import build_race
+from racerl.assemble import build_race, unlimited
 from racerl.bench import Compose, Progress
 from racerl.control.policy import Policy, load_policy
 from racerl.env.adapters.sb3 import RaceVecEnv
@@ -131,8 +131,7 @@ class Judge:
     """Scores policies on the model without randomization."""
 
     def __init__(self, settings: dict[str, Any]) -> None:
-        unlimited = {**settings, "sim": {**settings["sim"], "max_steps": 2**31}}
-        exact = {**unlimited, "dr": {**settings["dr"], "sigma": 0.0}}
+        exact = unlimited({**settings, "dr": {**settings["dr"], "sigma": 0.0}})
         self.race = build_race(exact, cars=1, seeds=[0], termination=Crash())
         self.optimum = find_optimum(self.race.vehicle, self.race.track, self.race.action).time
 

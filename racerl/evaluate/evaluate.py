@@ -10,7 +10,7 @@ from typing import Any
 import torch
 
 from racerl import bounds
-from racerl.assemble import Car, build_race, check_settings, choose_device, use_threads
+from racerl.assemble import Car, build_race, check_settings, choose_device, unlimited, use_threads
 from racerl.control.policy import load_policy
 from racerl.env.race import Race
 from racerl.env.randomize import Randomization
@@ -25,7 +25,6 @@ from racerl.paper import PAPER
 from racerl.registry import construct
 from racerl.run import RunFolder
 
-UNLIMITED = 2**31  # control steps: evaluation is never cut off
 ONWARD = ", refined on"  # in another world than it was learned in
 OVERRIDABLE = ("vehicle", "track", "sim", "dr")
 
@@ -100,8 +99,8 @@ def combine(trained: Mapping[str, Any], settings: Mapping[str, Any], car: Car) -
     # the car that is driven has actuators, whatever the policy was trained with, unless `sim` is asked for
     actuators = combined["sim"]["actuators"] if settings.get("sim") else car.actuators
     step = combined["sim"]["step"] if car.step is None else car.step
-    combined["sim"] = {**combined["sim"], "actuators": actuators, "step": step, "max_steps": UNLIMITED}
-    return combined
+    combined["sim"] = {**combined["sim"], "actuators": actuators, "step": step}
+    return unlimited(combined)
 
 
 def build_evaluation_race(

@@ -21,7 +21,7 @@ import torch
 from torch import Tensor, nn
 
 from racerl import bounds
-from racerl.assemble import build_race
+from racerl.assemble import build_race, unlimited
 from racerl.control.policy import SLOPE, Policy
 from racerl.env.race import Race
 from racerl.errors import ConfigError, RunError
@@ -123,9 +123,7 @@ def _clean(evaluation: Mapping[str, Any]) -> bool:
 
 
 def _race(session: Session, cars: int) -> Race:
-    """Return cars whose episodes no length cuts off."""
-    sim = {**session.settings["sim"], "max_steps": 2**31}
-    return build_race({**session.settings, "sim": sim}, cars=cars, seeds=[session.seed], device=session.device)
+    return build_race(unlimited(session.settings), cars=cars, seeds=[session.seed], device=session.device)
 
 
 class Practice:
@@ -282,8 +280,8 @@ class Search:
         observation = race.observe()
         for _ in range(self.settings.horizon):
             step = race.step(self._perturbed(observation, normal, sizes))
-            driving &= ~(step.terminated | step.faulty)
-            progress += step.progress * driving
+            driving &= ~step.terminated
+            progress += step.progress.masked_fill(~driving, 0.0)
             observation = step.observation
         self.crashed = ~driving
         return progress

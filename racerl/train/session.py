@@ -13,7 +13,7 @@ import torch
 from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat
 from torch import nn
 
-from racerl.assemble import build_race
+from racerl.assemble import build_race, unlimited
 from racerl.control.policy import Policy, save_policy
 from racerl.documents import MAX_TEXT_BYTES, read_text
 from racerl.env.race import Race
@@ -64,9 +64,10 @@ class Examiner:
     """Races a policy against the clock, always from the same starts, in cars of the training's randomization."""
 
     def __init__(self, settings: Mapping[str, Any], device: torch.device) -> None:
-        unlimited = {**settings, "sim": {**settings["sim"], "max_steps": 2**31}}
         self.seeds = [EVALUATION_SEED + i for i in range(EVALUATION_CARS)]
-        self.race = build_race(unlimited, cars=EVALUATION_CARS, seeds=self.seeds, device=device, termination=Crash())
+        self.race = build_race(
+            unlimited(settings), cars=EVALUATION_CARS, seeds=self.seeds, device=device, termination=Crash()
+        )
 
     def examine(self, policy: Policy) -> dict[str, Any]:
         """Return the score of two flying laps of each car."""

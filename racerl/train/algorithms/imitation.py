@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from racerl import bounds
-from racerl.assemble import build_race
+from racerl.assemble import build_race, unlimited
 from racerl.control.policy import build_network
 from racerl.env.race import Race
 from racerl.train.products import fast_products
@@ -75,8 +75,7 @@ class Imitation:
         race = build(session.settings)
         session.start()
         # a lap at the limit is beyond a car with less grip, however good its feedback: trials are of the plain car
-        unlimited = {**session.settings["sim"], "max_steps": 2**31}
-        plain = {**session.settings, "dr": {"sigma": 0.0, "parameters": []}, "sim": unlimited}
+        plain = unlimited({**session.settings, "dr": {"sigma": 0.0, "parameters": []}})
         teacher = find_teacher(lambda: build(plain))
         torch.manual_seed(session.seed)
         network = build_network([race.observation.size, *self.layers, 2]).to(session.device)
