@@ -26,6 +26,7 @@ from racerl.run import RunFolder
 PROGRESS = "progress.jsonl"
 EVALUATION_CARS, EVALUATION_LAPS = 16, 2  # cars of the training's own randomization
 EVALUATION_SEED = 1_000_003
+CLEAN = 0.9  # share of the laps that stay on the track, before pace counts
 TOLERATED = 0.0005  # m s of E_off per lap that a faster policy may have: a quarter of what the paper's has on its car
 Key = Callable[[Mapping[str, Any]], tuple[float, ...]]
 
@@ -81,9 +82,10 @@ def rank(result: Mapping[str, Any]) -> tuple[float, float, float]:
     return result["crash_share"], -result["valid_laps"], result["settled_lap_s"] or math.inf
 
 
-def pace(result: Mapping[str, Any]) -> tuple[float, bool, float]:
+def pace(result: Mapping[str, Any]) -> tuple[float, bool, bool, float]:
     """Return a key that is smaller for a better result: fewer crashes, hardly off the track, then faster laps."""
-    return result["crash_share"], result["e_off"] > TOLERATED, result["settled_lap_s"] or math.inf
+    unclean = result["valid_laps"] < CLEAN * result["laps"]
+    return result["crash_share"], unclean, result["e_off"] > TOLERATED, result["settled_lap_s"] or math.inf
 
 
 class Session:

@@ -212,3 +212,18 @@ def test_other_drives(parts):
     problem = Collocation(vehicle, action, corridor, 98)
     current = problem.solve(problem.guess(0.0))
     assert 3.0 < current.time < 8.0 and torch.isfinite(torch.as_tensor(current.references)).all()
+
+
+def test_the_line_of_a_hairpin_wider_than_its_radius_has_no_kink():
+    """Offsets beyond the centre of curvature would fold it: there is room for 1.1 m at a radius of 0.8 m, as on real maps."""
+    angle = np.linspace(-np.pi / 2, np.pi / 2, 10)
+    straight = np.linspace(0.0, 6.0, 13)[1:-1]
+    right = np.stack([6.0 + 0.8 * np.cos(angle), 0.8 * np.sin(angle)], axis=1)
+    left = np.stack([-0.8 * np.cos(angle), -0.8 * np.sin(angle)], axis=1)
+    there, back = (np.stack([x, np.full(len(x), y)], axis=1) for x, y in ((straight, -0.8), (straight[::-1], 0.8)))
+    points = np.concatenate([there, right, back, left])
+    width = np.where(np.abs(points[:, 0] - 3.0) > 3.0, 1.1, 0.5)
+    track = spline_track("bone", points, width, width)
+    stretch = Corridor(track).at(np.linspace(0.0, 12.0, 400))
+    assert np.abs(stretch.curvature).max() < 1.5
+    assert np.minimum(1 - stretch.curvature * stretch.high, 1 - stretch.curvature * stretch.low).min() > 0.1

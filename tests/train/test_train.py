@@ -161,8 +161,9 @@ def test_the_best_policy_is_kept():
 
 
 def test_a_refined_policy_may_leave_the_track_by_a_hair():
-    clean = {"crash_share": 0.0, "e_off": 0.0, "settled_lap_s": 6.0}
-    assert pace({**clean, "e_off": 0.0004, "settled_lap_s": 5.9}) < pace(clean)
+    clean = {"crash_share": 0.0, "laps": 32, "valid_laps": 32, "e_off": 0.0, "settled_lap_s": 6.0}
+    assert pace(clean) < pace({**clean, "valid_laps": 22, "e_off": 0.0004, "settled_lap_s": 5.0})
+    assert pace({**clean, "valid_laps": 30, "e_off": 0.0004, "settled_lap_s": 5.9}) < pace(clean)
     assert pace(clean) < pace({**clean, "e_off": 0.002, "settled_lap_s": 5.0})
     assert pace({**clean, "settled_lap_s": None}) < pace({**clean, "crash_share": 0.1, "settled_lap_s": 5.0})
 
