@@ -215,7 +215,7 @@ def test_other_drives(parts):
 
 
 def test_the_line_of_a_hairpin_wider_than_its_radius_has_no_kink():
-    """Offsets beyond the centre of curvature would fold it: on real maps there is room for 1.1 m at a radius of 0.8 m."""
+    """Offsets beyond the centre of curvature would fold it: real maps have 1.1 m of room at a radius of 0.8 m."""
     angle = np.linspace(-np.pi / 2, np.pi / 2, 10)
     straight = np.linspace(0.0, 6.0, 13)[1:-1]
     right = np.stack([6.0 + 0.8 * np.cos(angle), 0.8 * np.sin(angle)], axis=1)
