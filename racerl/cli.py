@@ -15,7 +15,7 @@ import typer
 
 from racerl import __version__, completion
 from racerl.choices import choices, own_keys
-from racerl.errors import ConfigError, RacerlError, RunError
+from racerl.errors import ConfigError, RacerlError, RunError, refused
 
 if TYPE_CHECKING:
     from racerl.config import Settings
@@ -771,6 +771,8 @@ def main() -> None:
     except Exception as error:
         # Typer's own complaints are not exported as one class; all of them can format themselves
         complaint = error.format_message() if hasattr(error, "format_message") else None
+        if isinstance(error, OSError):
+            complaint = refused(error)
         if complaint is None and not isinstance(error, RacerlError):
             raise
         sys.stderr.write(f"racerl: {' '.join((complaint or str(error)).split())}\n")

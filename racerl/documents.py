@@ -11,6 +11,7 @@ import io
 import json
 import math
 import os
+import stat
 import tempfile
 from collections.abc import Iterator, Mapping
 from importlib.resources import files
@@ -96,15 +97,25 @@ def write_parquet(path: Path, table: "pd.DataFrame") -> None:
     write_bytes(path, stream.getvalue())
 
 
+def read_bytes(path: Path, limit: int) -> bytes:
+    """Read a file of at most `limit` bytes; raise DocumentError otherwise, and for what never ends: pipes, devices."""
+    try:
+        facts = path.stat()
+        if not stat.S_ISREG(facts.st_mode) and not stat.S_ISDIR(facts.st_mode):
+            raise DocumentError(f"{path}: is a pipe or a device; give a file")
+        if facts.st_size > limit:
+            raise DocumentError(f"{path}: {facts.st_size} bytes, at most {limit} are read; is this the right file?")
+        return path.read_bytes()
+    except OSError as error:
+        raise DocumentError(f"{path}: cannot be read ({error.strerror}); check the path") from error
+    except ValueError as error:  # a zero byte in the path
+        raise DocumentError(f"{str(path)!r}: is no path ({error})") from error
+
+
 def read_text(path: Path, limit: int = MAX_TEXT_BYTES) -> str:
     """Read a UTF-8 text file of at most `limit` bytes; raise DocumentError otherwise."""
     try:
-        size = path.stat().st_size
-        if size > limit:
-            raise DocumentError(f"{path}: {size} bytes, at most {limit} are read; is this the right file?")
-        return path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise DocumentError(f"{path}: cannot be read ({error.strerror}); check the path") from error
+        return io.TextIOWrapper(io.BytesIO(read_bytes(path, limit)), encoding="utf-8-sig").read()
     except UnicodeDecodeError as error:
         raise DocumentError(f"{path}: not a text file (byte {error.start} is not UTF-8)") from error
 

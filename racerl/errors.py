@@ -1,6 +1,7 @@
 """Errors that a user can mend: one line with the value, what is allowed and what to do."""
 
 import difflib
+import errno
 from collections.abc import Iterable
 
 LISTED = 24  # choices that a line names; of more only the nearest
@@ -40,6 +41,27 @@ class OptimumError(RacerlError):
 
 class PolicyError(RacerlError):
     """A policy file that is damaged or does not fit the environment."""
+
+
+# what to do where the operating system refuses, by its number
+REMEDIES = {
+    errno.ENOSPC: "make room; where a run had begun, the same words with the same out= go on",
+    errno.EDQUOT: "make room; where a run had begun, the same words with the same out= go on",
+    errno.EROFS: "choose another out=",
+    errno.EACCES: "ask for permission, or choose another out=",
+    errno.EPERM: "ask for permission, or choose another out=",
+    errno.ENOTDIR: "a file stands where a folder should be; choose another out=",
+    errno.EEXIST: "a file stands where a folder should be; choose another out=",
+    errno.ENAMETOOLONG: "choose a shorter out=",
+    errno.EMFILE: "close other programs, or raise the limit (ulimit -n)",
+}
+
+
+def refused(error: OSError) -> str:
+    """Return what the operating system refused, in one line: where, why, and what to do."""
+    where = f"{error.filename}: " if error.filename else ""
+    remedy = REMEDIES.get(error.errno or 0)
+    return f"{where}{error.strerror or error}" + (f"; {remedy}" if remedy else "")
 
 
 def suggest(value: str, choices: Iterable[str], most: int = 3) -> str:

@@ -137,6 +137,31 @@ def test_mistakes_end_with_one_line_and_leave_nothing(words, said, tmp_path, run
 
 
 @pytest.mark.parametrize(
+    "out, said",
+    [
+        ("/dev/null", "File exists"),
+        ("/dev/null/x", "Not a directory"),
+        ("a" * 300, "File name too long; choose a shorter"),
+    ],
+)
+def test_what_the_system_refuses_ends_with_one_line(out, said, tmp_path, run):
+    for words in (["record", "drive=race", "seconds=2"], ["train", "budget=smoke"], ["report"]):
+        done = run(*words, f"out={out}")
+        assert done.returncode == 2 and said in done.stderr and done.stderr.count("\n") == 1, done.stderr
+        assert "Traceback" not in done.stdout + done.stderr and not list(tmp_path.iterdir())
+
+
+def test_a_full_disk_ends_with_one_line(tmp_path, run, monkeypatch):
+    def full(descriptor):
+        raise OSError(28, "No space left on device", "drive/log.parquet")
+
+    monkeypatch.setattr(os, "fsync", full)
+    done = run("record", "drive=race", "seconds=2", "out=drive")
+    assert done.returncode == 2 and done.stderr.count("\n") == 1
+    assert "No space left on device" in done.stderr
+
+
+@pytest.mark.parametrize(
     "words, said",
     [
         (["gap"], "logs is missing; write racerl gap LOG…"),

@@ -25,6 +25,18 @@ def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
     assert read_json(target) == {"kept": 1} and [path.name for path in tmp_path.iterdir()] == ["a.json"]
 
 
+def test_what_never_ends_is_not_read(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to("/dev/zero")
+    for name in ("pipe", "link"):
+        with pytest.raises(DocumentError, match="pipe or a device"):
+            read_json(tmp_path / name)
+    with pytest.raises(DocumentError, match="Is a directory"):
+        read_yaml(tmp_path)
+    with pytest.raises(DocumentError, match="no path"):
+        read_yaml(tmp_path / "a\0b")
+
+
 def test_yaml_comes_back(tmp_path):
     content = {"a": 1e-4, "b": [1, 2.5, "x"], "c": {"d": True, "e": None, "f": "friction_0.02"}}
     write_yaml(tmp_path / "a.yaml", content)

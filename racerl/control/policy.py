@@ -14,7 +14,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor, nn
 
-from racerl.documents import read_json, write_bytes, write_json
+from racerl.documents import read_bytes, read_json, write_bytes, write_json
 from racerl.errors import DocumentError, PolicyError
 
 if TYPE_CHECKING:
@@ -112,10 +112,8 @@ def _sizes(facts: Mapping[str, Any], folder: Path) -> list[int]:
 
 def _read_weights(path: Path) -> dict[str, Tensor]:
     try:
-        if path.stat().st_size > MAX_WEIGHTS_BYTES:
-            raise PolicyError(f"{path}: larger than {MAX_WEIGHTS_BYTES} bytes; is this a policy?")
-        return load(path.read_bytes())
-    except OSError as error:
-        raise PolicyError(f"{path}: cannot be read ({error.strerror})") from error
+        return load(read_bytes(path, MAX_WEIGHTS_BYTES))
+    except DocumentError as error:
+        raise PolicyError(str(error)) from error
     except SafetensorError as error:
         raise PolicyError(f"{path}: is damaged ({error}); train again") from error
