@@ -217,6 +217,9 @@ def _rewrite_override(word: str, groups: set[str], filed: Collection[str]) -> It
     """Yield Hydra's words for one of the user's; the keys of the groups `filed` are those of a file."""
     key, _, value = word.partition("=")
     group = key.lstrip("+")
+    if word.startswith("out=") and not value.startswith(("'", '"')):
+        yield f"out={quote(value)}"  # a path may hold what Hydra's grammar knows as its own: commas, brackets, umlauts
+        return
     if group in groups and value == "null":
         raise ConfigError(f"{word}: a choice of conf/{group} is expected; leave the word out for the usual one")
     if group in FILE_GROUPS and _names_file(word, group):

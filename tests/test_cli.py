@@ -151,6 +151,14 @@ def test_what_the_system_refuses_ends_with_one_line(out, said, tmp_path, run):
         assert "Traceback" not in done.stdout + done.stderr and not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("out", ["Größe/测试", "a,b", "[x]", "a b", "x{1}", "it's", 'q"q', "d$x"])
+def test_a_folder_may_have_any_name(out, tmp_path, run):
+    done = run("record", "drive=race", "seconds=2", f"out={out}")
+    assert done.returncode == 0 and (tmp_path / out / "log.parquet").is_file(), done.stderr
+    done = run("data", f"{out}/log.parquet", "out=seen")
+    assert done.returncode == 0, done.stderr
+
+
 def test_a_full_disk_ends_with_one_line(tmp_path, run, monkeypatch):
     def full(descriptor):
         raise OSError(28, "No space left on device", "drive/log.parquet")
