@@ -17,7 +17,7 @@ import racerl
 from racerl.cli import _following, app
 from racerl.completion import TWO_WORDS
 from racerl.config import compose_settings, gather_words
-from racerl.vehicle import codegen
+from racerl.vehicle import compiler
 
 PROGRAM = [sys.executable, "-m", "racerl.cli"]
 ROOT = Path(racerl.__file__).parent.parent
@@ -79,7 +79,7 @@ def test_warnings_reach_the_user(tmp_path, monkeypatch, run):
     """Without a compiler on the PATH the simulator falls back to torch, and one line says so."""
     for name, value in {"PATH": "/nowhere", "CC": "", "XDG_CACHE_HOME": str(tmp_path)}.items():
         monkeypatch.setenv(name, value)
-    monkeypatch.setattr(codegen, "_find_compiler", functools.cache(codegen._find_compiler.__wrapped__))
+    monkeypatch.setattr(compiler, "_find_compiler", functools.cache(compiler._find_compiler.__wrapped__))
     words = [
         "train",
         "budget=smoke",

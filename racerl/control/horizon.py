@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from racerl.env.actions import Action, half_range, middle
 from racerl.optimum.along import DELTA, OMEGA, V_X, V_Y, XI, N, motion, scales, size
 from racerl.optimum.corridor import Corridor
-from racerl.vehicle.codegen import build
+from racerl.vehicle.compiler import build
 from racerl.vehicle.vehicle import Vehicle
 
 SUBSTEPS = 2

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from racerl.vehicle.codegen import build
+from racerl.vehicle.compiler import build
 
 TEMPLATE = """
 #include <math.h>

@@ -1,39 +1,16 @@
 """From CasADi functions to compiled C: one statement per instruction inside a loop over lanes, which the system's
-compiler vectorises.
-
-The library is kept in the user's cache under a hash of source, compiler and processor, so that it is built once, also
-where many processes ask for it at once.
+compiler (see `compiler`) vectorises.
 """
 
-import ctypes
-import functools
-import hashlib
-import logging
 import math
-import os
-import platform
-import shutil
-import signal
-import subprocess
-import tempfile
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial
 from numpy.typing import NDArray
 
-from racerl.documents import alone, user_cache
-
 Array = NDArray[np.float64]
-
-log = logging.getLogger(__name__)
-
-# fast-math lets the compiler take the vector versions of sin, atan, …; NaN still spreads through sums.
-# cos is written as a shifted sin: sin and cos of one angle would be fused to a complex exponential, which has none.
-FLAGS = ("-march=native", "-ffast-math", "-fopenmp-simd", "-fPIC")
-THOROUGH, QUICK = ("-O3",), ("-O1", "-ftree-vectorize", "-fno-tree-slp-vectorize")
 
 FUNCTIONS = ("sin", "atan", "tanh", "exp", "sqrt", "fabs")
 
@@ -140,68 +117,3 @@ def statements(function: Any, inputs: Sequence[str], outputs: Sequence[str]) -> 
             line = f"w{to[0]} = " + forms[operation].format(*(f"w{i}" for i in of))
         lines.append(f"        {line};")
     return "\n".join(lines)
-
-
-def cache_folder() -> Path:
-    """Return where compiled kernels are kept."""
-    return user_cache("kernels")
-
-
-@functools.cache
-def _find_compiler() -> str | None:
-    """Return the C compiler's path; say once when there is none."""
-    for name in (os.environ.get("CC"), "cc", "gcc", "clang"):
-        if name and (path := shutil.which(name)):
-            return path
-    log.warning("no C compiler found; computing on torch, several times slower (install gcc to change that)")
-    return None
-
-
-def build(code: str, effort: Sequence[str] = THOROUGH) -> ctypes.CDLL | None:
-    """Compile the source, or take it from the cache; None (and a line in the log) when that is not possible.
-
-    `QUICK` takes less than half of the time; loops have to be written out for it, and vectorised by pragma. Raises
-    KeyboardInterrupt where the user interrupts the compiler, in whichever thread that is.
-    """
-    compiler = _find_compiler()
-    if compiler is None:
-        return None
-    try:
-        version = subprocess.run([compiler, "--version"], capture_output=True, check=True, timeout=30).stdout  # noqa: S603
-        about = [code, *effort, *FLAGS, version.decode(errors="replace"), _processor()]
-        identity = hashlib.sha256("\0".join(about).encode())
-        library = cache_folder() / f"{identity.hexdigest()[:32]}.so"
-        if not library.is_file():
-            _compile([compiler, *effort, *FLAGS], code, library)
-        return ctypes.CDLL(str(library))
-    except (OSError, subprocess.SubprocessError) as error:
-        if isinstance(error, subprocess.CalledProcessError) and error.returncode == -signal.SIGINT:
-            raise KeyboardInterrupt from error
-        log.warning("the kernel could not be compiled (%s); computing on torch, several times slower", error)
-        return None
-
-
-def _compile(compiler: Sequence[str], code: str, library: Path) -> None:
-    """Build beside the target and rename; processes that want the same library wait for the first of them."""
-    library.parent.mkdir(parents=True, exist_ok=True)
-    with alone(library.with_suffix(".lock")), tempfile.TemporaryDirectory(dir=library.parent) as folder:
-        if library.is_file():
-            return
-        path, unit, built = (Path(folder) / f"kernel.{suffix}" for suffix in ("c", "o", "so"))
-        path.write_text(code)
-        # linked without -ffast-math, which would make the whole process flush subnormal numbers to zero
-        for command in (
-            [*compiler, "-c", str(path), "-o", str(unit)],
-            [compiler[0], "-shared", str(unit), "-o", str(built), "-lm"],
-        ):
-            subprocess.run(command, capture_output=True, check=True)  # noqa: S603
-        built.replace(library)
-
-
-def _processor() -> str:
-    """Return what -march=native depends on."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        return next((line for line in lines if line.startswith(("flags", "Features"))), platform.machine())
-    except OSError:
-        return platform.machine()

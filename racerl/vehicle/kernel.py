@@ -16,7 +16,8 @@ from typing import Any, cast
 import torch
 from torch import Tensor
 
-from racerl.vehicle.codegen import build, precision, statements
+from racerl.vehicle.codegen import precision, statements
+from racerl.vehicle.compiler import build
 from racerl.vehicle.integrate import advance
 from racerl.vehicle.ops import TORCH, CasadiOps
 from racerl.vehicle.parameter import replace_values, values

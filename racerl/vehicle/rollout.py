@@ -30,7 +30,8 @@ import torch
 from numpy.typing import NDArray
 
 from racerl.vehicle.actuator import Given
-from racerl.vehicle.codegen import QUICK, build, precision, statements
+from racerl.vehicle.codegen import precision, statements
+from racerl.vehicle.compiler import QUICK, build
 from racerl.vehicle.integrate import rk4
 from racerl.vehicle.ops import TORCH, CasadiOps, Ops, symbolic
 from racerl.vehicle.parameter import replace_values, values

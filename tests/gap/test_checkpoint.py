@@ -21,7 +21,8 @@ from racerl.gap.noise import noise_cost
 from racerl.gap.problem import Problem
 from racerl.gap.uncertainty import deviations
 from racerl.gap.workers import Workers
-from racerl.vehicle import catalogue, codegen
+from racerl.vehicle import catalogue
+from racerl.vehicle import compiler as building
 from racerl.vehicle.load import load_vehicle
 from tests.gap.conftest import drive
 
@@ -200,10 +201,10 @@ def test_a_compiler_that_the_user_interrupts_is_no_broken_compiler(tmp_path, mon
     compiler = tmp_path / "cc"
     compiler.write_text('#!/bin/sh\n[ "$1" = --version ] || kill -INT $$\n')
     compiler.chmod(0o755)
-    monkeypatch.setattr(codegen, "_find_compiler", lambda: str(compiler))
+    monkeypatch.setattr(building, "_find_compiler", lambda: str(compiler))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     with pytest.raises(KeyboardInterrupt):
-        codegen.build("int nothing;")
+        building.build("int nothing;")
 
 
 @pytest.mark.parametrize(

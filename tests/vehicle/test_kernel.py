@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 import torch
 
-from racerl.vehicle import codegen, kernel
+from racerl.vehicle import compiler as building
+from racerl.vehicle import kernel
 from racerl.vehicle.kernel import CompiledMotion, TorchMotion, choose_motion
 from racerl.vehicle.parameter import values
 from tests.vehicle.conftest import random_states
@@ -113,7 +114,7 @@ def test_many_processes_build_a_kernel_once(tmp_path):
     compiler = tmp_path / "bin" / "cc"
     compiler.write_text(f'#!/bin/sh\necho "$@" >>{tmp_path}/calls\nsleep 0.1\nexec /usr/bin/cc "$@"\n')
     compiler.chmod(0o755)
-    code = "from racerl.vehicle.codegen import build; print(build('int seven(void) { return 7; }').seven())"
+    code = "from racerl.vehicle.compiler import build; print(build('int seven(void) { return 7; }').seven())"
     environment = {"XDG_CACHE_HOME": str(tmp_path), "PATH": f"{compiler.parent}:/usr/bin:/bin", "PYTHONPATH": "."}
     jobs = [subprocess.Popen([sys.executable, "-c", code], env=environment, stdout=subprocess.PIPE) for _ in range(3)]
     assert [job.communicate(timeout=120)[0].decode().strip() for job in jobs] == ["7"] * 3
@@ -128,8 +129,8 @@ def test_the_process_keeps_subnormal_numbers(car):
 
 
 def test_without_a_compiler_torch_takes_over_and_says_so_once(car, monkeypatch, caplog):
-    monkeypatch.setattr(codegen, "_find_compiler", functools.cache(codegen._find_compiler.__wrapped__))
-    monkeypatch.setattr(codegen.shutil, "which", lambda name: None)
+    monkeypatch.setattr(building, "_find_compiler", functools.cache(building._find_compiler.__wrapped__))
+    monkeypatch.setattr(building.shutil, "which", lambda name: None)
     with caplog.at_level(logging.WARNING):
         motions = [choose_motion(car, [], 0.01, 5, CPU, torch.float32) for _ in range(2)]
     assert [motion.name for motion in motions] == ["torch", "torch"]
@@ -138,7 +139,7 @@ def test_without_a_compiler_torch_takes_over_and_says_so_once(car, monkeypatch, 
 
 def test_a_broken_compiler_is_survived(car, monkeypatch, caplog, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(codegen, "FLAGS", ("--no-such-flag",))
+    monkeypatch.setattr(building, "FLAGS", ("--no-such-flag",))
     with caplog.at_level(logging.WARNING):
         motion = choose_motion(car, [], 0.01, 5, CPU, torch.float32)
     assert motion.name == "torch" and "could not be compiled" in caplog.text
