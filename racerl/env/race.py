@@ -32,6 +32,7 @@ from racerl.vehicle.vehicle import STATE, Vehicle
 
 log = logging.getLogger(__name__)
 
+LARGEST = 1e4  # m, rad, m/s, rad/s: what is beyond has failed, as NaN has
 START_SPEED_MIN, START_SPEED_MAX = 0.5, 2.0  # m/s, along the centreline
 X, Y, YAW, V_X, V_Y, YAW_RATE, DELTA, OMEGA = range(len(STATE))
 # all that the next step depends on, beside the drawn parameters and the generator
@@ -269,20 +270,24 @@ class Race(Rows):
         return state
 
     def _move(self) -> tuple[Tensor, Tensor]:
-        """Integrate and project; return the progress in m and the cars whose state is no longer finite."""
+        """Integrate and project; return the progress in m and the cars whose state or place is none of this world."""
         moved, faulty = self._drive(), self._nobody
-        if not self.waits or not bool(torch.isfinite(moved.sum())):
-            faulty = ~torch.isfinite(moved).all(dim=0)
-            self._faults = self._faults + faulty.sum()
-            if self.waits:
-                self._report(faulty)
+        if not self.waits or not bool(moved.abs().amax() < LARGEST):
+            faulty = self._fail(~(moved.abs() < LARGEST).all(dim=0))
             # the state before may be broken too; the car is started over after this step
-            moved = torch.where(faulty, self.state.nan_to_num(0.0, 0.0, 0.0), moved)
+            moved = torch.where(faulty, torch.where(self.state.abs() < LARGEST, self.state, 0.0), moved)
+            self.command, self.command_rate = (
+                told.masked_fill(faulty, 0.0) for told in (self.command, self.command_rate)
+            )
         self.state = moved
         if self._sensed:
             self.shown = torch.cat([self._shown(moved)[None], self.shown[:-1]])
         self.age = self.age + 1
         self.place, progress = self.frame.locate(moved[X], moved[Y], moved[YAW], self.s)
+        if not self.waits or not bool(progress.abs().amax() < self.track.length):
+            lost = ~(progress.abs() < self.track.length)
+            faulty = faulty | self._fail(lost & ~faulty)
+            self.place, progress = self.place.masked_fill(lost, 0.0), progress.masked_fill(lost, 0.0)
         travelled = self.travelled + progress
         if self.randomization.each_lap and self.draws.names:
             crossed = (travelled / self.track.length).floor() > (self.travelled / self.track.length).floor()
@@ -328,6 +333,13 @@ class Race(Rows):
         self.age = chosen.put(self.age, zeros.long())
         self.place = chosen.put(self.place, place)
         self.travelled = chosen.put(self.travelled, place[0].double())
+
+    def _fail(self, faulty: Tensor) -> Tensor:
+        """Count cars whose simulation failed, and return them."""
+        self._faults = self._faults + faulty.sum()
+        if self.waits and bool(faulty.any()):
+            self._report(faulty)
+        return faulty
 
     def _report(self, faulty: Tensor) -> None:
         """Log the state from which a simulation failed."""

@@ -11,6 +11,7 @@ import torch
 
 from racerl.assemble import build_race
 from racerl.config import compose_settings
+from racerl.env.observations import OBSERVATION_LIMIT
 from racerl.env.race import Race, Timing
 from racerl.env.termination import Crash
 from racerl.errors import ConfigError
@@ -132,6 +133,38 @@ def test_a_nan_in_one_car_starts_it_over_and_reaches_nobody(poison, caplog):
     assert float(step.reward[2]) == 0.0 and bool(step.terminated[2])
     healthy = [0, 1, 3, 4]
     assert torch.equal(step.observation[healthy], other.observation[healthy])
+
+
+@pytest.mark.parametrize("waits", [True, False])
+@pytest.mark.parametrize("what", ["state", "command", "place", "travelled", "action", "parameters"])
+def test_nothing_absurd_reaches_a_policy_or_a_learner(what, waits, caplog):
+    """NaN, infinities and absurd numbers in one car of four, anywhere: 12 × 1,000 of them."""
+    race = make("dr=all_0.05", cars=4000)
+    race.waits = waits
+    draw = torch.Generator().manual_seed(0)
+    poisons = torch.tensor([float("nan"), float("inf"), -float("inf"), 1e38, -1e38, 1e12])
+    action = torch.zeros(4000, 2)
+    for _ in range(3):  # on the way
+        race.step(action)
+    tables = {
+        "state": race.state,
+        "command": race.command,
+        "place": race.place,
+        "travelled": race.travelled[None],
+        "action": action.T,
+        "parameters": race.draws.values,
+    }
+    rows = torch.randint(len(tables[what]), (1000,), generator=draw)
+    tables[what][rows, torch.arange(0, 4000, 4)] = poisons[torch.randint(6, (1000,), generator=draw)].to(
+        tables[what].dtype
+    )
+    healthy = torch.ones(4000, dtype=torch.bool)
+    healthy[::4] = False
+    for step in (race.step(action), race.step(torch.zeros(4000, 2))):
+        for table in (step.observation, step.final_observation, step.reward, step.progress, step.margin, race.state):
+            assert torch.isfinite(table).all()
+        assert step.final_observation.abs().max() <= OBSERVATION_LIMIT and step.reward.abs().max() < race.track.length
+        assert not step.faulty[healthy].any()
 
 
 def test_a_race_that_does_not_wait_is_the_same_race():
