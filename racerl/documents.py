@@ -13,6 +13,7 @@ import math
 import os
 import stat
 import tempfile
+import time
 from collections.abc import Iterator, Mapping
 from importlib.resources import files
 from pathlib import Path
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
 MAX_TEXT_BYTES = 8 * 1024 * 1024
 MAX_YAML_BYTES = 1024 * 1024
+JUST_BEGUN = 1.0  # s, in which a file may not be locked yet
 
 
 def packaged(name: str) -> Path:
@@ -65,6 +67,8 @@ def write_bytes(path: Path, content: bytes) -> None:
     handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
     try:
         with os.fdopen(handle, "wb") as stream:
+            with contextlib.suppress(OSError):  # a file system without locks
+                fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
             stream.write(content)
             stream.flush()
             os.fsync(stream.fileno())
@@ -73,6 +77,15 @@ def write_bytes(path: Path, content: bytes) -> None:
     except BaseException:
         Path(temporary).unlink(missing_ok=True)
         raise
+
+
+def sweep(folder: Path) -> None:
+    """Remove what killed processes were writing anywhere in a folder; what is being written is locked, and left."""
+    for path in folder.rglob(".*.tmp"):
+        with contextlib.suppress(OSError), path.open("rb") as left:
+            if time.time() - path.stat().st_mtime > JUST_BEGUN:
+                fcntl.flock(left, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                path.unlink()
 
 
 def write_text(path: Path, content: str) -> None:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import racerl
-from racerl.documents import read_json, read_yaml, write_json, write_yaml
+from racerl.documents import read_json, read_yaml, sweep, write_json, write_yaml
 from racerl.errors import DocumentError, RunError
 
 FORMAT = 1
@@ -96,6 +96,7 @@ class RunFolder:
                 )
             if folder.manifest["status"] == "complete" and not again:
                 raise RunError(f"out = {path}: already holds this very run, complete; choose another out=")
+            sweep(path)
             return folder
         if path.is_dir() and any(path.iterdir()):
             raise RunError(f"out = {path}: is not empty and holds no racerl run; choose another out=")

@@ -1,14 +1,16 @@
 """Documents: atomic on the way out, bounded and inert on the way in."""
 
+import fcntl
 import json
 import os
+import time
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from racerl import documents
-from racerl.documents import inside, read_json, read_yaml, write_bytes, write_json, write_yaml
+from racerl.documents import inside, read_json, read_yaml, sweep, write_bytes, write_json, write_yaml
 from racerl.errors import DocumentError
 
 
@@ -23,6 +25,19 @@ def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
     with pytest.raises(OSError, match="No space"):
         write_json(target, {"kept": 2})
     assert read_json(target) == {"kept": 1} and [path.name for path in tmp_path.iterdir()] == ["a.json"]
+
+
+def test_what_killed_processes_were_writing_is_swept(tmp_path):
+    (tmp_path / "run").mkdir()
+    left, written, young = (tmp_path / "run" / f".{name}.safetensors.abc.tmp" for name in ("a", "b", "c"))
+    for path in (left, written, young, tmp_path / "other.tmp"):
+        path.write_bytes(b"half")
+        os.utime(path, (time.time() - 5.0,) * 2)
+    os.utime(young)
+    with written.open("rb") as stream:
+        fcntl.flock(stream, fcntl.LOCK_EX)
+        sweep(tmp_path)
+    assert not left.exists() and written.exists() and young.exists() and (tmp_path / "other.tmp").exists()
 
 
 def test_what_never_ends_is_not_read(tmp_path):
