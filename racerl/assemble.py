@@ -79,6 +79,12 @@ def check_settings(settings: Settings) -> None:
         for key in keys:
             if key not in content:
                 raise ConfigError(f"config: {section}.{key} is missing; give it a value")
+        for key in ("file", "name"):
+            if key in content and (not isinstance(content[key], str) or not content[key] or "\0" in content[key]):
+                raise ConfigError(f"config: {section}.{key} = {content[key]!r}: a word is expected")
+    effects = settings["vehicle"].get("effects")
+    if not isinstance(effects, Mapping | None):
+        raise ConfigError(f"config: vehicle.effects = {effects!r}: a mapping from effects to their numbers is expected")
 
 
 def use_threads(threads: Any) -> None:

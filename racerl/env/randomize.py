@@ -38,7 +38,7 @@ class Randomization:
         if not isinstance(self.sigma, (int, float)) or not 0.0 <= self.sigma <= 1.0:
             raise ConfigError(f"dr.sigma = {self.sigma}: allowed is 0 … 1 (a share of each value)")
 
-        if isinstance(self.parameters, str) or not all(isinstance(name, str) for name in self.parameters):
+        if not isinstance(self.parameters, list | tuple) or not all(isinstance(name, str) for name in self.parameters):
             raise ConfigError(f"dr.parameters = {self.parameters}: a list of parameter names or patterns is expected")
 
     def names(self, vehicle: Vehicle) -> list[str]:

@@ -35,7 +35,11 @@ def load_track(settings: dict[str, Any], folder: Path) -> Track:
     if "file" not in settings:
         raise TrackError("track: has no 'file'; give a centreline .csv or a map .yaml")
     path = Path(str(settings["file"]))
-    return read_track(path if path.exists() else folder / path, {k: v for k, v in settings.items() if k != "file"})
+    try:
+        path = path if path.exists() else folder / path
+    except (OSError, ValueError) as error:  # too long to be a path, or with a zero byte in it
+        raise TrackError(f"track {str(path)[:80]!r}: cannot be a file ({error.__class__.__name__})") from error
+    return read_track(path, {k: v for k, v in settings.items() if k != "file"})
 
 
 def read_track(path: Path, changes: Mapping[str, Any] | None = None) -> Track:
