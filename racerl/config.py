@@ -32,12 +32,8 @@ if TYPE_CHECKING:
 
 VERSION_BASE = "1.3"
 FILE_GROUPS = {"track": (".csv", ".yaml", ".yml"), "vehicle": (".yaml", ".yml"), "controller": (".yaml", ".yml")}
-SPOKEN = {
-    "race": "evaluate",
-    "refine": "train",
-    "compare": "report compare",
-    "close": "gap close",
-}  # where the words are others
+# where the words are others
+SPOKEN = {"race": "evaluate", "refine": "train", "compare": "report compare", "close": "gap close"}
 # keys that must be given, as a user gives them
 ASKED = {"logs": "LOG…", "run": "RUN", "real": "LOG… real=FILE", "name": "SWEEP", "from": "from=RUN"}
 PATHS = {  # positional keys that name files or folders, and what is allowed
@@ -217,8 +213,8 @@ def _rewrite_override(word: str, groups: set[str], filed: Collection[str]) -> It
     """Yield Hydra's words for one of the user's; the keys of the groups `filed` are those of a file."""
     key, _, value = word.partition("=")
     group = key.lstrip("+")
-    if word.startswith("out=") and not value.startswith(("'", '"')):
-        yield f"out={quote(value)}"  # a path may hold what Hydra's grammar knows as its own: commas, brackets, umlauts
+    if key in ("out", "from") and not value.startswith(("'", '"')):
+        yield f"{key}={quote(value)}"  # a path may hold what Hydra's grammar has for itself: commas, brackets, umlauts
         return
     if group in groups and value == "null":
         raise ConfigError(f"{word}: a choice of conf/{group} is expected; leave the word out for the usual one")
