@@ -276,9 +276,8 @@ class Race(Rows):
             faulty = self._fail(~(moved.abs() < LARGEST).all(dim=0))
             # the state before may be broken too; the car is started over after this step
             moved = torch.where(faulty, torch.where(self.state.abs() < LARGEST, self.state, 0.0), moved)
-            self.command, self.command_rate = (
-                told.masked_fill(faulty, 0.0) for told in (self.command, self.command_rate)
-            )
+            self.command = self.command.masked_fill(faulty, 0.0)
+            self.command_rate = self.command_rate.masked_fill(faulty, 0.0)
         self.state = moved
         if self._sensed:
             self.shown = torch.cat([self._shown(moved)[None], self.shown[:-1]])

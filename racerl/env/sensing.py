@@ -4,6 +4,7 @@ seen(t) = measure(true)(t − T), T the latency of each channel; between control
 """
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import torch
@@ -17,7 +18,7 @@ from racerl.vehicle.vehicle import STATE, Vehicle
 
 def check_estimate(key: str, noise: Any) -> None:
     """Raise ConfigError for noise of what a driver sees that is no deviation, 0 … 10, per state."""
-    if not hasattr(noise, "items"):
+    if not isinstance(noise, Mapping):
         raise ConfigError(f"{key} = {noise}: a mapping from states to deviations is expected, such as {{v_y: 0.02}}")
     for state, deviation in noise.items():
         if state not in STATE:

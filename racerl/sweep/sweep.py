@@ -100,17 +100,19 @@ def summarise(planned: Plan, settings: Mapping[str, Any], out: Path, failed: Map
 def gather(planned: Plan, cars: Sequence[str], laps: int) -> dict[str, pd.DataFrame]:
     """Return the tables of what the finished jobs measured, by file."""
     turning = {sweep.name for sweep in planned.sweeps if "turn_in" in sweep.metrics}
-    measured = {job.name: (measure(job, cars, laps), learning(job)) for job in planned.jobs if job.done}
+    measured = {
+        job.name: (measure(job, cars, laps), learning(job), arrivals(job, cars)) for job in planned.jobs if job.done
+    }
     rows: list[dict[str, Any]] = []
     trainings: list[dict[str, Any]] = []
     curves, steering = [], []
     for (sweep, arm, seed), job in planned.of.items():
         if job.name not in measured:
             continue
-        driven, curve = measured[job.name]
+        driven, curve, arrived = measured[job.name]
         where = {"sweep": sweep, "arm": arm, "seed": seed}
         rows += [{**where, **row} for row in driven]
-        trainings.append({**where, "reward": final_reward(curve), **arrivals(job, cars), "job": job.path.name})
+        trainings.append({**where, "reward": final_reward(curve), **arrived, "job": job.path.name})
         curves.append(_thinned(curve).assign(**where))
         if sweep in turning:
             steering += [usual_steering(job, car).assign(**where, car=car) for car in cars]

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from racerl.assemble import build_race
 from racerl.control.policy import load_policy
 from racerl.errors import ConfigError, PolicyError
 from racerl.train.session import Session
@@ -28,7 +27,7 @@ class Trained:
                 "as budget=laptop has"
             )
         policy = load_policy(Path(self.run), session.device)
-        size = build_race(session.settings, cars=1, seeds=[session.seed], device=session.device).observation.size
+        size = session.examiner.race.observation.size
         if policy.sizes[0] != size or policy.sizes[-1] != 2:
             raise PolicyError(
                 f"{self.run}: the policy has {policy.sizes[0]} inputs and {policy.sizes[-1]} outputs, the race "
