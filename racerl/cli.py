@@ -16,6 +16,7 @@ import typer
 from racerl import __version__, completion
 from racerl.choices import choices, own_keys
 from racerl.errors import ConfigError, RacerlError, RunError, refused
+from racerl.interruption import Terminated, listen
 
 if TYPE_CHECKING:
     from racerl.config import Settings
@@ -290,12 +291,15 @@ def _run(
         logging.basicConfig(format="%(levelname)s: %(message)s", level=logging.WARNING, force=True)
         task(settings, out)
 
-    run_command(command, arguments or [], logged, positional)
+    try:
+        run_command(command, arguments or [], logged, positional)
+    except Terminated as stop:
+        raise typer.Exit(128 + stop.number) from None  # as shells have it; Typer takes any for Ctrl-C
 
 
 @contextmanager
 def _continued(console: Any, out: Path, how: str = "continues") -> Iterator[None]:
-    """Say on Ctrl-C how to go on."""
+    """Say how to go on when asked to stop."""
     try:
         yield
     except KeyboardInterrupt:
@@ -368,7 +372,7 @@ def _show_laps(stage: Callable[..., dict[str, Any]], settings: "Settings", out: 
     from racerl.evaluate.outcome import METRICS
 
     console = _console()
-    with Bar(console, "evaluate") as bar:
+    with _continued(console, out, "begins again"), Bar(console, "evaluate") as bar:
         metrics = stage(settings, out, bar.show)
     _print_metrics(console, metrics)
     _print_lines(console, f"results in {out / METRICS}", f"next: racerl report {_quoted(out)}")
@@ -385,7 +389,7 @@ def _tune(settings: "Settings", out: Path) -> None:
     from racerl.tune.tune import CONTROLLER, tune
 
     console, trials = _console(), settings["trials"]
-    with Bar(console, "tune") as bar:
+    with _continued(console, out, "begins again"), Bar(console, "tune") as bar:
         facts = tune(
             settings, out, lambda done, best: bar.show(done / trials, f"trial {done}: {best:.3f} s per valid lap")
         )
@@ -405,7 +409,7 @@ def _record(settings: "Settings", out: Path) -> None:
 
     console = _console()
     seconds = settings["seconds"]
-    with Bar(console, "record") as bar:
+    with _continued(console, out, "begins again"), Bar(console, "record") as bar:
         facts = record(settings, out, lambda share: bar.show(share, f"{share * seconds:.0f} of {seconds:g} s driven"))
     log = out / settings["file"]
     _print_lines(
@@ -621,7 +625,7 @@ def _optimum(settings: "Settings", out: Path) -> None:
     from racerl.optimum.optimum import DISTINCT, RACELINE, optimum
 
     console = _console()
-    with Bar(console, "optimum") as bar:
+    with _continued(console, out, "begins again"), Bar(console, "optimum") as bar:
         facts = optimum(settings, out, bar.show)
     held = facts["held"]
     console.print(
@@ -763,6 +767,7 @@ def _console() -> Any:
 
 def main() -> None:
     """Run the command line; a user's mistake ends with one line and exit code 2."""
+    listen()
     try:
         with completion.for_bash():
             code = app(completion.as_commands(sys.argv[1:]), standalone_mode=False)

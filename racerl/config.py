@@ -26,6 +26,7 @@ from omegaconf.errors import OmegaConfBaseException
 from racerl.choices import choices, default_groups, own_keys
 from racerl.documents import conf_folder, read_yaml, require_finite
 from racerl.errors import ConfigError, DocumentError, suggest
+from racerl.run import WORDS
 
 if TYPE_CHECKING:
     from racerl.env.adapters.gymnasium import RaceEnv, RaceVectorEnv
@@ -81,6 +82,7 @@ def run_command(
     overrides = _rewrite(command, arguments, positional)
 
     failures: list[Exception] = []
+    WORDS.set(tuple(arguments))
 
     def job(config: DictConfig) -> None:
         out = _shortest(Path(HydraConfig.get().runtime.output_dir))

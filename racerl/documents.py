@@ -7,6 +7,7 @@ refused (they can blow a small file up to gigabytes), and no reader can run code
 
 import contextlib
 import fcntl
+import hashlib
 import io
 import json
 import math
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 
 MAX_TEXT_BYTES = 8 * 1024 * 1024
 MAX_YAML_BYTES = 1024 * 1024
+DIGEST = hashlib.sha256().digest_size  # bytes
 JUST_BEGUN = 1.0  # s, in which a file may not be locked yet
 
 
@@ -77,6 +79,23 @@ def write_bytes(path: Path, content: bytes) -> None:
     except BaseException:
         Path(temporary).unlink(missing_ok=True)
         raise
+
+
+def write_sealed(path: Path, content: bytes, about: str = "") -> None:
+    """Write a file atomically with a digest in front, of its content and of what it is `about`."""
+    write_bytes(path, _digest(content, about) + content)
+
+
+def read_sealed(path: Path, limit: int, about: str = "") -> bytes:
+    """Return what was written so; raise DocumentError where it is no longer whole, or is about something else."""
+    sealed = read_bytes(path, limit + DIGEST)
+    if sealed[:DIGEST] != _digest(sealed[DIGEST:], about):
+        raise DocumentError(f"{path}: its content is not what was written")
+    return sealed[DIGEST:]
+
+
+def _digest(content: bytes, about: str) -> bytes:
+    return hashlib.sha256(about.encode() + content).digest()
 
 
 def sweep(folder: Path) -> None:

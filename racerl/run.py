@@ -1,15 +1,19 @@
 """The run folder: what every stage writes its results into, with a manifest that says where they came from.
 
-`manifest.json` holds the format, the stage, its status (running, complete), the run's id, the seed, versions, threads,
-CPU and git sha. A folder that already holds another run is never written into.
+`manifest.json` holds the format, the stage, its status (running, complete), the run's id, the words that asked for it,
+the seed, versions, threads, CPU, git sha and a hash of what is not committed. A folder that already holds another run,
+or that another process is at work in, is never written into.
 """
 
+import contextlib
+import fcntl
 import hashlib
 import json
 import os
 import platform
 import subprocess
 from collections.abc import Callable, Mapping, Sequence
+from contextvars import ContextVar
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
@@ -22,6 +26,8 @@ from racerl.errors import DocumentError, RunError
 FORMAT = 1
 MANIFEST, CONFIG = "manifest.json", "config.yaml"
 MAX_DEPTH = 3  # folders below outputs/<stage>
+WORDS: ContextVar[Sequence[str] | None] = ContextVar("words", default=None)  # of the user, on the command line
+_held: dict[Path, int] = {}  # folders that this process is at work in, and what holds them
 Compose = Callable[[str, Sequence[str]], dict[str, Any]]  # settings of another stage, from its name and overrides
 LIBRARIES = ("torch", "stable-baselines3", "numpy", "casadi")
 
@@ -37,6 +43,7 @@ def provenance() -> dict[str, Any]:
     return {
         "racerl": racerl.__version__,
         "git_sha": git_sha(),
+        "uncommitted": uncommitted(),
         "python": platform.python_version(),
         "libraries": {name: metadata.version(name) for name in LIBRARIES},
         "cpu": cpu_name(),
@@ -54,6 +61,40 @@ def git_sha() -> str | None:
         return sha + ("+changes" if _git(root, "status", "--porcelain", "--untracked-files=no") else "")
     except (OSError, subprocess.SubprocessError):
         return None
+
+
+def uncommitted() -> str | None:
+    """Return a hash of what the checkout's tracked files have beside its commit; None where nothing, or in a wheel."""
+    root = Path(racerl.__file__).resolve().parent.parent
+    if not (root / ".git").exists():
+        return None
+    try:
+        changes = _git(root, "diff", "HEAD")
+    except (OSError, ValueError, subprocess.SubprocessError):
+        return None
+    return hashlib.sha256(changes.encode()).hexdigest()[:16] if changes else None
+
+
+def _hold(path: Path) -> None:
+    """Hold a folder against other processes until this one ends or lets it go; raise RunError where one has it."""
+    key = path.resolve()
+    if key in _held:
+        return
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(handle)
+        raise RunError(f"out = {path}: another process is at work in it; wait for it, or choose another out=") from None
+    except OSError:  # a file system without locks
+        os.close(handle)
+    else:
+        _held[key] = handle
+
+
+def _let_go(path: Path) -> None:
+    with contextlib.suppress(KeyError):
+        os.close(_held.pop(path.resolve()))
 
 
 def _git(root: Path, *arguments: str) -> str:
@@ -88,6 +129,17 @@ class RunFolder:
         identity = config_hash(settings)
         if path.exists() and not path.is_dir():
             raise RunError(f"out = {path}: is a file; give a folder")
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            _hold(path)
+            return cls._start(path, stage, settings, identity, again, facts)
+        except OSError as error:
+            raise RunError(f"out = {path}: cannot be written ({error.strerror}); choose another out=") from error
+
+    @classmethod
+    def _start(
+        cls, path: Path, stage: str, settings: Mapping[str, Any], identity: str, again: bool, facts: Mapping[str, Any]
+    ) -> "RunFolder":
         if (path / MANIFEST).is_file():
             folder = cls._open(path)
             if folder.manifest["config_hash"] != identity or folder.manifest["stage"] != stage:
@@ -97,25 +149,24 @@ class RunFolder:
             if folder.manifest["status"] == "complete" and not again:
                 raise RunError(f"out = {path}: already holds this very run, complete; choose another out=")
             sweep(path)
+            if not (path / CONFIG).is_file():  # killed before it was written
+                write_yaml(path / CONFIG, settings)
             return folder
-        if path.is_dir() and any(path.iterdir()):
+        if any(not each.name.startswith(f".{MANIFEST}.") for each in path.iterdir()):
             raise RunError(f"out = {path}: is not empty and holds no racerl run; choose another out=")
-        try:
-            path.mkdir(parents=True, exist_ok=True)
-            manifest = {
-                "format": FORMAT,
-                "stage": stage,
-                "status": "running",
-                "run_id": f"{identity}-{os.urandom(4).hex()}",
-                "config_hash": identity,
-                "started": datetime.now(UTC).isoformat(timespec="seconds"),
-                **provenance(),
-                **facts,
-            }
-            write_yaml(path / CONFIG, settings)
-            write_json(path / MANIFEST, manifest)
-        except OSError as error:
-            raise RunError(f"out = {path}: cannot be written ({error.strerror}); choose another out=") from error
+        manifest = {
+            "format": FORMAT,
+            "stage": stage,
+            "status": "running",
+            "run_id": f"{identity}-{os.urandom(4).hex()}",
+            "config_hash": identity,
+            "words": None if (words := WORDS.get()) is None else list(words),
+            "started": datetime.now(UTC).isoformat(timespec="seconds"),
+            **provenance(),
+            **facts,
+        }
+        write_json(path / MANIFEST, manifest)
+        write_yaml(path / CONFIG, settings)
         return cls(path, manifest)
 
     @classmethod
@@ -161,6 +212,7 @@ class RunFolder:
         finished = datetime.now(UTC).isoformat(timespec="seconds")
         self.manifest = {**self.manifest, "status": "complete", "finished": finished, **facts}
         write_json(self.path / MANIFEST, self.manifest)
+        _let_go(self.path)
 
 
 def is_complete(path: Path) -> bool:

@@ -1,11 +1,13 @@
 """Run folders: who may write where, and which may be read."""
 
 import json
+import subprocess
+import sys
 
 import pytest
 
 from racerl.errors import RunError
-from racerl.run import FORMAT, RunFolder, config_hash
+from racerl.run import FORMAT, WORDS, RunFolder, config_hash, uncommitted
 
 
 def test_a_run_is_started_finished_and_opened(tmp_path):
@@ -25,6 +27,44 @@ def test_an_interrupted_run_of_the_same_settings_is_continued(tmp_path):
         RunFolder.start(tmp_path / "a", "train", {"seed": 2})
     with pytest.raises(RunError, match="another"):
         RunFolder.start(tmp_path / "a", "evaluate", {"seed": 1})
+
+
+def test_two_writers_are_told_apart(tmp_path):
+    code = (
+        "import sys; from pathlib import Path; from racerl.run import RunFolder;"
+        "RunFolder.start(Path(sys.argv[1]), 'train', {'seed': 1}); print('held', flush=True); sys.stdin.read()"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code, str(tmp_path / "a")], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as other:
+        assert other.stdout.readline() == b"held\n"
+        with pytest.raises(RunError, match="another process is at work in it"):
+            RunFolder.start(tmp_path / "a", "train", {"seed": 1})
+        other.kill()  # its death lets go
+        other.wait()
+        RunFolder.start(tmp_path / "a", "train", {"seed": 1}).finish()
+
+
+def test_a_run_that_was_killed_while_its_manifest_was_written_begins_anew(tmp_path):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / ".manifest.json.xyz.tmp").write_text('{"form')
+    assert RunFolder.start(tmp_path / "a", "train", {"seed": 1}).manifest["status"] == "running"
+    (tmp_path / "a" / "config.yaml").unlink()  # killed behind the manifest
+    assert RunFolder.start(tmp_path / "a", "train", {"seed": 1}).settings() == {"seed": 1}
+
+
+def test_a_manifest_knows_the_words_and_what_is_not_committed(tmp_path, monkeypatch):
+    assert RunFolder.start(tmp_path / "a", "train", {}).manifest["words"] is None
+    token = WORDS.set(("dr=friction_0.02", "seed=3"))
+    try:
+        assert RunFolder.start(tmp_path / "b", "train", {}).manifest["words"] == ["dr=friction_0.02", "seed=3"]
+    finally:
+        WORDS.reset(token)
+    hashes = []
+    for changes in ("", "+ one line", "+ another", "+ one line"):
+        monkeypatch.setattr("racerl.run._git", lambda root, *words, told=changes: told)
+        hashes.append(uncommitted())
+    assert hashes[0] is None and hashes[1] == hashes[3] != hashes[2]
 
 
 @pytest.mark.parametrize(

@@ -200,6 +200,10 @@ class Race(Rows):
         """Simulations that failed so far."""
         return int(self._faults)
 
+    @faults.setter
+    def faults(self, count: int) -> None:
+        self._faults = torch.full_like(self._faults, count)
+
     def observe(self, chosen: Chosen | None = None) -> Tensor:
         """Return the observation (N, O), inside ± OBSERVATION_LIMIT, of all cars or of some."""
         view = View.of(self, chosen)

@@ -18,14 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 from safetensors.numpy import load, save
 
-from racerl.documents import write_bytes
-from racerl.errors import RunError
+from racerl.documents import read_sealed, write_sealed
+from racerl.errors import DocumentError, RunError
 from racerl.gap.evidence import Evidence
 from racerl.run import config_hash, provenance
 
 Parts = dict[str, NDArray[Any]]
 FOLDER, SUFFIX = "checkpoint", ".safetensors"
-DIGEST = hashlib.sha256().digest_size
+MOST_BYTES = 2**32
 
 log = logging.getLogger(__name__)
 
@@ -55,11 +55,12 @@ class Checkpoint:
         """Return a finished part; None where there is none that is whole."""
         if self.folder is None or not (path := self.folder / f"{key}{SUFFIX}").is_file():
             return None
-        content = path.read_bytes()
-        if content[:DIGEST] != _digest(key, content[DIGEST:]):
+        try:
+            content = read_sealed(path, MOST_BYTES, key)
+        except DocumentError:
             log.warning("%s: is damaged; what it held is worked out again", path)
             return None
-        return {name: np.array(part) for name, part in load(content[DIGEST:]).items()}
+        return {name: np.array(part) for name, part in load(content).items()}
 
     def keep(self, key: str, parts: Parts) -> None:
         """Keep a finished part; raise RunError where it cannot be written."""
@@ -67,7 +68,7 @@ class Checkpoint:
             return
         content = save({name: np.ascontiguousarray(part) for name, part in parts.items()})
         try:
-            write_bytes(self.folder / f"{key}{SUFFIX}", _digest(key, content) + content)
+            write_sealed(self.folder / f"{key}{SUFFIX}", content, key)
         except OSError as error:
             raise RunError(f"{self.folder}: cannot be written ({error.strerror}); give another out=") from error
 
@@ -97,8 +98,3 @@ def _told(part: Any) -> Any:
     if not isinstance(part, np.ndarray):
         raise TypeError(f"{type(part).__name__} has no content to hash")
     return [str(part.dtype), part.shape, hashlib.sha256(part.tobytes()).hexdigest()]
-
-
-def _digest(key: str, content: bytes) -> bytes:
-    """Return the digest of a part under its name, so that it is no other's."""
-    return hashlib.sha256(key.encode() + content).digest()

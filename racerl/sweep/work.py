@@ -5,6 +5,7 @@ It runs in a process group of its own, holds a lock on its folder, and ends when
 
 import fcntl
 import os
+import signal
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -15,6 +16,7 @@ from typing import Any
 from racerl.documents import write_json
 from racerl.evaluate.evaluate import evaluate
 from racerl.evaluate.rivals import race
+from racerl.interruption import listen
 from racerl.record.record import record
 from racerl.run import is_complete
 from racerl.sweep.jobs import Job, Race
@@ -24,6 +26,7 @@ from racerl.train.train import train
 STATE, LOCK = "state.json", ".lock"
 TRAINING = 0.95  # share of a job
 PERIOD = 1.0  # s between looks at the sweep, and at most between words about the state
+GRACE = 6.0  # s, in which a job that is asked to end must have
 
 
 def work(
@@ -35,6 +38,7 @@ def work(
     """
     job = Job(name, Path(path), settings, races)
     os.setpgid(0, 0)
+    listen()
     if owner:
         threading.Thread(target=_end_with, args=(Path(owner),), daemon=True).start()
     job.path.mkdir(parents=True, exist_ok=True)
@@ -87,6 +91,8 @@ def _end_with(owner: Path) -> None:
     first = _identity(owner)
     while first and _identity(owner) == first:
         time.sleep(PERIOD)
+    os.kill(os.getpid(), signal.SIGTERM)  # a training keeps what it has
+    time.sleep(GRACE)
     os._exit(1)
 
 

@@ -24,12 +24,12 @@ from racerl import bounds
 from racerl.assemble import build_race, unlimited
 from racerl.control.policy import SLOPE, Policy
 from racerl.env.race import Race
-from racerl.errors import ConfigError, RunError
-from racerl.train.checkpoint import DAMAGED, read_tensors, section, write_tensors
+from racerl.errors import ConfigError
+from racerl.train import checkpoint
+from racerl.train.checkpoint import section
 from racerl.train.session import Progress, Session, pace
 
 FILE = "refinement.safetensors"
-CHECKPOINT_PERIOD = 30.0  # s
 FAINTEST = 1e-3  # root mean square of a layer's input, as which any counts at least
 
 
@@ -84,32 +84,38 @@ def refine(session: Session, settings: Refinement, policy: Policy, before: int, 
     An interrupted refinement goes on from its checkpoint. `clean_after_s`: seconds until a first examination without a
     crash, all of whose laps stay on the track, 0 where the best before was such; None if there was none.
     """
-    session.logger.dump(before)
     search = Search(settings, policy.network, lambda cars: _race(session, cars), session.seed)
-    clean = search.resume(session)
-    if clean is None and session.best and _clean(session.best):
-        clean = 0.0
-    saved, first, now = session.seconds, search.generation, session.seconds
-    while search.generation < settings.generations:
-        measures = search.advance()
-        for name, value in measures.items():
-            session.logger.record(f"refinement/{name}", value)
-        number = search.generation
-        steps = before + number * settings.steps
-        if settings.examines(number):
-            session.examine(policy, steps, key=pace)
-            if clean is None and _clean(session.last):
-                clean = session.seconds - began
-        session.logger.dump(steps)
-        if session.seconds - saved > CHECKPOINT_PERIOD:
-            search.keep(session, clean)
-            saved = session.seconds
-        done = number - first
-        rate = done * settings.steps / (session.seconds - now)
-        whole, reward = settings.generations * settings.steps, measures["progress"] / settings.horizon
-        told = Progress(steps - before, whole, session.seconds, rate, reward, session.last, "refine")
-        session.on_progress(told)
-    (session.folder.path / FILE).unlink(missing_ok=True)
+    path = session.folder.path / FILE
+    state = checkpoint.recover(path, search.restore)
+    first, now = search.generation, session.seconds
+    if state:
+        session.recall(state["session"], before + first * settings.steps)
+        now, clean = session.seconds, state["clean"]
+    else:
+        session.lines.rewind(before)
+        clean = 0.0 if session.best and _clean(session.best) else None
+
+    def keep() -> None:
+        facts = {"generation": search.generation, "clean": clean, "session": session.facts()}
+        checkpoint.keep(path, search.snapshot(), facts)
+
+    with session.kept(keep) as between:
+        while search.generation < settings.generations:
+            measures = search.advance()
+            for name, value in measures.items():
+                session.logger.record(f"refinement/{name}", value)
+            number = search.generation
+            steps = before + number * settings.steps
+            if settings.examines(number):
+                session.examine(policy, steps, key=pace)
+                if clean is None and _clean(session.last):
+                    clean = session.seconds - began
+            session.logger.dump(steps)
+            between()
+            rate = (number - first) * settings.steps / (session.seconds - now)
+            whole, reward = settings.generations * settings.steps, measures["progress"] / settings.horizon
+            told = Progress(steps - before, whole, session.seconds, rate, reward, session.last, "refine")
+            session.on_progress(told)
     steps = before + settings.generations * settings.steps
     return {
         "steps": steps,
@@ -218,45 +224,21 @@ class Search:
             x = layer(x)
         return found
 
-    def keep(self, session: Session, clean: float | None) -> None:
-        """Write a checkpoint: all that the next generation depends on, and what the session knows."""
+    def snapshot(self) -> dict[str, Tensor]:
+        """Return all that the next generation depends on, but for its number."""
         tensors = {f"network.{name}": tensor for name, tensor in self.network.state_dict().items()}
         tensors |= {f"momentum.{i}": tensor for i, tensor in enumerate(self.momentum)}
         tensors |= {f"lead.{name}": tensor for name, tensor in self.practice.snapshot().items()}
-        tensors |= {"race.dice": self.race.dice.snapshot(), "dice": self.dice.get_state()}
-        facts = {
-            "generation": self.generation,
-            "best": session.best,
-            "last": session.last,
-            "seconds": session.seconds,
-            "clean": clean,
-        }
-        write_tensors(session.folder.path / FILE, tensors, facts)
+        return tensors | {"race.dice": self.race.dice.snapshot(), "dice": self.dice.get_state()}
 
-    def resume(self, session: Session) -> float | None:
-        """Go on from a checkpoint, if there is one; return when all laps first were clean.
-
-        Raises RunError when it is damaged.
-        """
-        path = session.folder.path / FILE
-        if not path.is_file():
-            return None
-        try:
-            tensors, facts = read_tensors(path)
-            self._restore(tensors)
-        except DAMAGED as error:
-            raise RunError(f"{path}: is damaged ({error}); remove the run folder and train again") from error
-        self.generation, session.best, session.last = facts["generation"], facts["best"], facts["last"]
-        session.earlier_seconds = facts["seconds"]
-        clean: float | None = facts["clean"]
-        return clean
-
-    def _restore(self, tensors: dict[str, Tensor]) -> None:
+    def restore(self, tensors: dict[str, Tensor], state: Mapping[str, Any]) -> None:
+        """Go on from a snapshot."""
         self.network.load_state_dict(section(tensors, "network."))
         self.momentum = [tensors[f"momentum.{i}"].to(self.lead.device) for i in range(len(self.linear))]
         self.practice.restore(section(tensors, "lead."))
         self.race.dice.restore(tensors["race.dice"])
         self.dice.set_state(tensors["dice"])
+        self.generation = state["generation"]
 
     def _normal(self, layer: nn.Linear, scale: Tensor) -> tuple[Tensor, Tensor]:
         """Return a and b/r of every pair, of a layer's outputs (P, out) and its inputs and bias (P, in + 1)."""

@@ -3,7 +3,8 @@
 import json
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -15,15 +16,17 @@ from torch import nn
 
 from racerl.assemble import build_race, unlimited
 from racerl.control.policy import Policy, save_policy
-from racerl.documents import MAX_TEXT_BYTES, read_text
+from racerl.documents import MAX_TEXT_BYTES, read_text, write_text
 from racerl.env.race import Race
 from racerl.env.termination import Crash
 from racerl.errors import DocumentError, RunError
 from racerl.evaluate.drive import drive
 from racerl.evaluate.laps import score
+from racerl.interruption import held_back
 from racerl.run import RunFolder
 
 PROGRESS = "progress.jsonl"
+CHECKPOINT_PERIOD = 30.0  # s
 EVALUATION_CARS, EVALUATION_LAPS = 16, 2  # cars of the training's own randomization
 EVALUATION_SEED = 1_000_003
 CLEAN = 0.9  # share of the laps that stay on the track, before pace counts
@@ -57,8 +60,22 @@ class JsonLines(KVWriter):
         with self.path.open("a", encoding="utf-8") as stream:
             stream.write(json.dumps(record) + "\n")
 
+    def rewind(self, steps: int) -> None:
+        """Take back the lines after so many steps, which a killed run wrote behind its checkpoint."""
+        if self.path.is_file():
+            lines = read_text(self.path, 16 * MAX_TEXT_BYTES).splitlines()
+            write_text(self.path, "".join(f"{line}\n" for line in lines if _steps(line) <= steps))
+
     def close(self) -> None:
         """Nothing is kept open."""
+
+
+def _steps(line: str) -> float:
+    """Return the steps of a line, infinity for one that is torn."""
+    try:
+        return float(json.loads(line)["steps"])
+    except (ValueError, KeyError, TypeError):
+        return math.inf
 
 
 class Examiner:
@@ -111,8 +128,39 @@ class Session:
         facts = {"seed": self.seed, "threads": self.settings["threads"], "device": str(self.device)}
         self.folder = RunFolder.start(self.out, "train", self.settings, **facts)
         tensorboard = TensorBoardOutputFormat(str(self.folder.path / "tensorboard"))
-        self.logger = Logger(None, [tensorboard, JsonLines(self.folder.path / PROGRESS)])
+        self.lines = JsonLines(self.folder.path / PROGRESS)
+        self.logger = Logger(None, [tensorboard, self.lines])
         self._began = time.perf_counter()
+
+    @contextmanager
+    def kept(self, keep: Callable[[], None]) -> Iterator[Callable[[], None]]:
+        """Yield what a loop calls between two steps: it keeps what is done from time to time, and when asked to stop.
+
+        What asks to stop is held back until then.
+        """
+        saved = time.perf_counter()
+        with held_back() as asked:
+
+            def between() -> None:
+                nonlocal saved
+                if asked or time.perf_counter() - saved > CHECKPOINT_PERIOD:
+                    keep()
+                    saved = time.perf_counter()
+                asked.release()
+
+            yield between
+
+    def facts(self) -> dict[str, Any]:
+        """Return what a checkpoint keeps of the session; what was recorded since the last line of the log, too."""
+        pending = {key: float(value) for key, value in self.logger.name_to_value.items()}
+        return {"best": self.best, "last": self.last, "seconds": self.seconds, "pending": pending}
+
+    def recall(self, facts: Mapping[str, Any], steps: int) -> None:
+        """Go on from a checkpoint that was written after so many steps."""
+        self.best, self.last, self.earlier_seconds = facts["best"], facts["last"], facts["seconds"]
+        for key, value in facts["pending"].items():
+            self.logger.record(key, value)
+        self.lines.rewind(steps)
 
     @property
     def seconds(self) -> float:

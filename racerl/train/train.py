@@ -16,6 +16,9 @@ from racerl.documents import read_json
 from racerl.errors import ConfigError
 from racerl.registry import construct
 from racerl.train.algorithms import Algorithm, create_algorithm
+from racerl.train.checkpoint import FILE as TRAINING
+from racerl.train.checkpoint import discard
+from racerl.train.refinement import FILE as REFINING
 from racerl.train.refinement import Refinement, refine
 from racerl.train.session import Progress, Session
 
@@ -37,6 +40,8 @@ def train(
     facts = algorithm.train(session) if refinement is None else _refined(session, algorithm, refinement)
     facts |= {"seconds": round(session.seconds, 1), "best": session.best}
     session.folder.finish(**facts)
+    for name in (TRAINING, REFINING):  # only now: a run that is killed before goes on from them
+        discard(session.out / name)
     return facts
 
 
@@ -59,5 +64,6 @@ def _refined(session: Session, algorithm: Algorithm, refinement: Refinement) -> 
         session.earlier_seconds = began
     else:
         learned, began = algorithm.train(session), session.seconds
+        session.logger.dump(learned["steps"])
         save_policy(load_policy(session.out), before, evaluation=session.best, learned=learned, seconds=began)
     return learned | refine(session, refinement, load_policy(before, session.device), learned["steps"], began)

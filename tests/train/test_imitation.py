@@ -17,10 +17,12 @@ from racerl.evaluate.laps import score
 from racerl.optimum.collocation import Collocation
 from racerl.optimum.corridor import Corridor
 from racerl.optimum.ladder import FULL, find_ladder
+from racerl.train import session
 from racerl.train.algorithms import create_algorithm
 from racerl.train.algorithms.imitation import Imitation
 from racerl.train.teacher import CLIMBED, Teacher, find_teacher, left_behind
 from racerl.train.train import train
+from tests.train.pulled import Plug, logged, pull_at
 
 FLOOR = 5.155  # s, the time-optimal lap of the default car on the default track
 
@@ -188,6 +190,21 @@ def test_a_policy_that_hardly_moves_does_not(settings, taught, tmp_path):
     frozen = {**settings, "algo": {**settings["algo"], "rounds": 2, "last_updates": 50, "learning_rate": 1e-9}}
     train(frozen, tmp_path / "run")
     assert driven(settings, tmp_path / "run")[1] > 0.9
+
+
+def test_an_interrupted_imitation_goes_on_bit_for_bit(settings, taught, tmp_path, monkeypatch):
+    brief = {"rounds": 6, "cars": 32, "updates": 3, "last_updates": 6, "batch": 64, "layers": [16], "examined_every": 2}
+    short = {**settings, "algo": {**settings["algo"], **brief}}
+    train(short, tmp_path / "whole")
+    monkeypatch.setattr(session, "CHECKPOINT_PERIOD", 0.0)
+    pull = pull_at(2 * 32 * 40, 5 * 32 * 40)
+    for _ in range(2):
+        with pytest.raises(Plug):
+            train(short, tmp_path / "pulled", pull)
+    train(short, tmp_path / "pulled")
+    assert logged(tmp_path / "pulled") == logged(tmp_path / "whole") and len(logged(tmp_path / "whole")) == 6
+    one, other = ((tmp_path / run / "policy.safetensors").read_bytes() for run in ("pulled", "whole"))
+    assert one == other
 
 
 @pytest.mark.parametrize("change", [{"rounds": 0}, {"cars": 1.5}, {"learning_rate": 0.0}, {"fast_starts": 2.0}])

@@ -11,10 +11,12 @@ from racerl.assemble import build_race
 from racerl.config import compose_settings
 from racerl.control.policy import build_network, load_policy
 from racerl.errors import ConfigError, RunError
-from racerl.train import refinement
+from racerl.train import session
 from racerl.train import train as training
+from racerl.train.checkpoint import recover
 from racerl.train.refinement import FILE, Refinement, Search
 from racerl.train.train import UNREFINED, train
+from tests.train.pulled import logged
 
 SHORT = {
     "generations": 2,
@@ -152,7 +154,7 @@ class Killed(Exception):
 def test_an_interrupted_refinement_goes_on_where_it_was(period, tmp_path, monkeypatch):
     words = [*SMOKE, "budget.refinement.generations=6", "budget.refinement.evaluations=6", "+dr=friction_0.02"]
     whole = train(compose_settings("train", words), tmp_path / "whole")
-    monkeypatch.setattr(refinement, "CHECKPOINT_PERIOD", period)
+    monkeypatch.setattr(session, "CHECKPOINT_PERIOD", period)
 
     def kill(progress):
         if progress.stage == "refine" and progress.steps > 3 * 16 * (2 * 20 + 5):
@@ -167,6 +169,7 @@ def test_an_interrupted_refinement_goes_on_where_it_was(period, tmp_path, monkey
     one, other = (load_policy(tmp_path / run).network.state_dict() for run in ("whole", "killed"))
     assert all(torch.equal(one[name], other[name]) for name in one)
     assert not (tmp_path / "killed" / FILE).exists()
+    assert logged(tmp_path / "killed") == logged(tmp_path / "whole")
 
 
 def test_the_policy_before_it_is_kept(tmp_path):
@@ -184,7 +187,7 @@ def test_a_damaged_checkpoint_is_one_line(tmp_path):
     found = search()
     (tmp_path / FILE).write_bytes(b"not tensors")
     with pytest.raises(RunError, match="is damaged"):
-        found.resume(SimpleNamespace(folder=SimpleNamespace(path=tmp_path)))
+        recover(tmp_path / FILE, found.restore)
 
 
 @pytest.mark.parametrize(

@@ -15,10 +15,11 @@ from racerl.config import compose_settings
 from racerl.control.policy import load_policy
 from racerl.errors import ConfigError, RunError
 from racerl.run import RunFolder
-from racerl.train.algorithms import ppo as stage
+from racerl.train import session
 from racerl.train.checkpoint import FILE as CHECKPOINT
 from racerl.train.session import pace, rank
 from racerl.train.train import train
+from tests.train.pulled import Plug, logged, pull_at
 
 SMOKE = ["budget=smoke", "threads=1"]
 
@@ -60,18 +61,10 @@ def test_every_variant_trains(variant, tmp_path):
 
 def test_an_interrupted_run_resumes_bit_for_bit(smoke_run, tmp_path, monkeypatch):
     settings = compose_settings("train", [*SMOKE, "dr=friction_0.02"])
-    monkeypatch.setattr(stage, "CHECKPOINT_PERIOD", 0.0)
-
-    class Plug(Exception):
-        pass
-
-    def pull(progress):
-        if progress.steps == 1024:
-            raise Plug
-
+    monkeypatch.setattr(session, "CHECKPOINT_PERIOD", 0.0)
     out = tmp_path / "run"
     with pytest.raises(Plug):
-        train(settings, out, pull)
+        train(settings, out, pull_at(1024))
     with pytest.raises(RunError, match="not complete"):
         RunFolder.open_complete(out)
     train(settings, out)
@@ -81,9 +74,26 @@ def test_an_interrupted_run_resumes_bit_for_bit(smoke_run, tmp_path, monkeypatch
     assert steps == {1024, 2048}
 
 
+def test_the_course_of_a_run_pulled_twice_is_that_of_an_undisturbed_one(tmp_path, monkeypatch):
+    words = ["budget.steps=6144", "budget.final_std=0.1", "budget.final_learning_rate=1e-5", "budget.normalise=true"]
+    settings = compose_settings("train", [*SMOKE, "dr=friction_0.02", *words])
+    train(settings, tmp_path / "whole")
+    monkeypatch.setattr(session, "CHECKPOINT_PERIOD", 0.0)
+    pull = pull_at(2048, 4096)
+    for _ in range(2):
+        with pytest.raises(Plug):
+            train(settings, tmp_path / "pulled", pull)
+        (tmp_path / "pulled" / "progress.jsonl").open("a").write('{"steps": 3')  # torn, and never read again
+    train(settings, tmp_path / "pulled")
+    assert logged(tmp_path / "pulled") == logged(tmp_path / "whole")
+    one, other = ((tmp_path / run / "policy.safetensors").read_bytes() for run in ("pulled", "whole"))
+    assert one == other
+    assert not list((tmp_path / "pulled").glob("*checkpoint*"))
+
+
 def test_a_killed_process_resumes(tmp_path):
     code = (
-        "import sys; from pathlib import Path; from racerl.train.algorithms import ppo; ppo.CHECKPOINT_PERIOD = 0.0;"
+        "import sys; from pathlib import Path; from racerl.train import session; session.CHECKPOINT_PERIOD = 0.0;"
         "from racerl.train.train import train as t;"
         "from racerl.config import compose_settings as c;"
         "t(c('train', ['budget=smoke', 'threads=1', 'budget.steps=200000']), Path(sys.argv[1]))"
@@ -117,6 +127,22 @@ def test_a_damaged_checkpoint_is_named(tmp_path):
     (out / CHECKPOINT).write_bytes(b"\x10" * 64)
     with pytest.raises(RunError, match="damaged"):
         train(settings, out)
+
+
+def test_a_run_goes_on_from_the_checkpoint_before_a_damaged_one(smoke_run, tmp_path, monkeypatch, caplog):
+    settings = compose_settings("train", [*SMOKE, "dr=friction_0.02"])
+    monkeypatch.setattr(session, "CHECKPOINT_PERIOD", 0.0)
+    out = tmp_path / "run"
+    with pytest.raises(Plug):
+        train(settings, out, pull_at(1024))
+    newest, before = out / CHECKPOINT, out / f"before.{CHECKPOINT}"
+    content = bytearray(newest.read_bytes())
+    content[len(content) // 2] ^= 1  # one bit
+    newest.write_bytes(content)
+    assert before.is_file()
+    train(settings, out)
+    assert "damaged" in caplog.text
+    assert (out / "policy.safetensors").read_bytes() == (smoke_run / "policy.safetensors").read_bytes()
 
 
 def test_results_are_never_overwritten(smoke_run, tmp_path):

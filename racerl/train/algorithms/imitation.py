@@ -6,7 +6,7 @@ not pulled back.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import torch
@@ -16,6 +16,8 @@ from racerl import bounds
 from racerl.assemble import build_race, unlimited
 from racerl.control.policy import build_network
 from racerl.env.race import Race
+from racerl.train import checkpoint
+from racerl.train.checkpoint import load_optimizer, optimizer_tensors, section
 from racerl.train.products import fast_products
 from racerl.train.session import Progress, Session, policy_of
 from racerl.train.teacher import Teacher, find_teacher
@@ -38,6 +40,35 @@ RANGES = {
     "learning_rate": (1e-9, 1.0),
     "last_rate": (1e-9, 1.0),
 }
+
+
+@dataclass
+class Lessons:
+    """An imitation in its course: the cars, the network and its optimizer, and all that was seen and asked so far."""
+
+    race: Race
+    network: nn.Sequential
+    optimizer: torch.optim.Optimizer
+    dice: torch.Generator
+    rounds: int = 0
+    seen: list[Tensor] = field(default_factory=list)
+    asked: list[Tensor] = field(default_factory=list)
+
+    def snapshot(self) -> dict[str, Tensor]:
+        """Return all that the next round depends on, but for its number."""
+        tensors = {f"network.{name}": tensor for name, tensor in self.network.state_dict().items()}
+        tensors |= {f"optimizer.{name}": tensor for name, tensor in optimizer_tensors(self.optimizer).items()}
+        tensors |= {f"race.{name}": tensor for name, tensor in self.race.snapshot().items()}
+        return tensors | {"dice": self.dice.get_state(), "seen": torch.cat(self.seen), "asked": torch.cat(self.asked)}
+
+    def restore(self, tensors: dict[str, Tensor], state: Mapping[str, Any]) -> None:
+        """Go on from a snapshot."""
+        self.network.load_state_dict(section(tensors, "network."))
+        load_optimizer(self.optimizer, section(tensors, "optimizer."))
+        self.race.restore(section(tensors, "race."))
+        self.dice.set_state(tensors["dice"])
+        self.seen, self.asked = ([tensors[name].to(self.race.device)] for name in ("seen", "asked"))
+        self.rounds, self.race.faults = state["rounds"], state["faults"]
 
 
 @dataclass(frozen=True)
@@ -81,45 +112,52 @@ class Imitation:
         network = build_network([race.observation.size, *self.layers, 2]).to(session.device)
         optimizer = torch.optim.Adam(network.parameters(), self.learning_rate)
         dice = torch.Generator(session.device).manual_seed(session.seed)
-        self._start_fast(race, teacher, race.age == 0, dice)
-        seen: list[Tensor] = []
-        asked: list[Tensor] = []
-        for number in range(self.rounds):
-            reward = self._drive(race, teacher, network, 1.0 - number / self.handing_over, dice, seen, asked)
-            last = number == self.rounds - 1
-            with fast_products(session.device):
-                loss = self._fit(network, optimizer, torch.cat(seen), torch.cat(asked), last, dice)
-            steps = (number + 1) * self.cars * self.steps
-            if last or (number + 1) % self.examined_every == 0:
-                # one flying lap from a standing start says little of the pace: the policy that has seen most is kept
-                session.examine(policy_of(network, race, session.settings), steps, improving=True)
-            session.logger.record("train/loss", loss)
-            session.logger.record("train/reward", reward)
-            session.logger.dump(steps)
-            total = self.rounds * self.cars * self.steps
-            session.on_progress(Progress(steps, total, session.seconds, steps / session.seconds, reward, session.last))
-        return {"steps": self.rounds * self.cars * self.steps, "nan_cars": race.faults}
+        lessons = Lessons(race, network, optimizer, dice)
+        path = session.folder.path / checkpoint.FILE
+        state = checkpoint.recover(path, lessons.restore)
+        if state:
+            session.recall(state["session"], lessons.rounds * self.cars * self.steps)
+        else:
+            self._start_fast(race, teacher, race.age == 0, dice)
+
+        def keep() -> None:
+            facts = {"rounds": lessons.rounds, "faults": race.faults, "session": session.facts()}
+            checkpoint.keep(path, lessons.snapshot(), facts)
+
+        total = self.rounds * self.cars * self.steps
+        with session.kept(keep) as between:
+            while lessons.rounds < self.rounds:
+                reward = self._drive(lessons, teacher)
+                last = lessons.rounds == self.rounds - 1
+                with fast_products(session.device):
+                    loss = self._fit(lessons, last)
+                lessons.rounds += 1
+                steps = lessons.rounds * self.cars * self.steps
+                if last or lessons.rounds % self.examined_every == 0:
+                    # one flying lap from a standing start says little of the pace: the policy that has seen most is
+                    # kept
+                    session.examine(policy_of(network, race, session.settings), steps, improving=True)
+                session.logger.record("train/loss", loss)
+                session.logger.record("train/reward", reward)
+                session.logger.dump(steps)
+                between()
+                rate = steps / session.seconds
+                session.on_progress(Progress(steps, total, session.seconds, rate, reward, session.last))
+        return {"steps": total, "nan_cars": race.faults}
 
     @torch.no_grad()
-    def _drive(
-        self,
-        race: Race,
-        teacher: Teacher,
-        network: nn.Module,
-        taught: float,
-        dice: torch.Generator,
-        seen: list[Tensor],
-        asked: list[Tensor],
-    ) -> float:
-        """Drive all cars, a share `taught` of them by the teacher; keep what was seen; return the mean reward."""
+    def _drive(self, lessons: Lessons, teacher: Teacher) -> float:
+        """Drive all cars, fewer and fewer of them by the teacher; keep what was seen; return the mean reward."""
+        race, dice = lessons.race, lessons.dice
+        taught = 1.0 - lessons.rounds / self.handing_over
         by_teacher = (torch.rand(race.count, generator=dice, device=race.device) < taught)[:, None]
         rewards = []
         observation = race.observe()
         for _ in range(self.steps):
             target = teacher(race).clamp(-self.largest_target, self.largest_target)
-            seen.append(observation)
-            asked.append(target)
-            action = torch.where(by_teacher, target, network(observation)).clamp(-1.0, 1.0)
+            lessons.seen.append(observation)
+            lessons.asked.append(target)
+            action = torch.where(by_teacher, target, lessons.network(observation)).clamp(-1.0, 1.0)
             step = race.step(action + self.noise * torch.randn(action.shape, generator=dice, device=race.device))
             observation = step.observation
             rewards.append(step.reward.mean())
@@ -135,16 +173,10 @@ class Imitation:
         if bool(fast.any()):
             teacher.start(race, fast.nonzero()[:, 0], dice)
 
-    def _fit(
-        self,
-        network: nn.Module,
-        optimizer: torch.optim.Optimizer,
-        seen: Tensor,
-        asked: Tensor,
-        last: bool,
-        dice: torch.Generator,
-    ) -> float:
+    def _fit(self, lessons: Lessons, last: bool) -> float:
         """Fit the network to all that was asked of it; return the mean loss."""
+        network, optimizer, dice = lessons.network, lessons.optimizer, lessons.dice
+        seen, asked = torch.cat(lessons.seen), torch.cat(lessons.asked)
         count = self.last_updates if last else self.updates
         losses = []
         for update in range(count):

@@ -1,18 +1,17 @@
 """Proximal policy optimisation within the budget; an interrupted run continues from its checkpoint, bit for bit."""
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from stable_baselines3.common.callbacks import BaseCallback
 
 from racerl.assemble import build_race
-from racerl.train.checkpoint import FILE as CHECKPOINT
-from racerl.train.checkpoint import load_checkpoint, save_checkpoint
+from racerl.train.checkpoint import FILE, counters, keep, put_into, recover, tensors_of
 from racerl.train.ppo import Budget, RacePPO
 from racerl.train.session import Progress, Session, policy_of
-
-CHECKPOINT_PERIOD = 30.0  # s
 
 
 @dataclass(frozen=True)
@@ -27,9 +26,9 @@ class Ppo:
         model = RacePPO(race, budget, session.seed)
         model.set_logger(session.logger)
         trainer = Trainer(session)
-        model.learn(budget.steps, callback=trainer)
+        with session.kept(trainer.save) as trainer.between:
+            model.learn(budget.steps, callback=trainer)
         trainer.examine()
-        (session.folder.path / CHECKPOINT).unlink(missing_ok=True)
         return {"steps": model.num_timesteps, "nan_cars": race.faults}
 
 
@@ -42,14 +41,15 @@ class Trainer(BaseCallback):
         super().__init__()
         self.session = session
         self.examined = 0  # evaluations so far
+        self.between: Callable[[], None] = lambda: None
 
     def _on_training_start(self) -> None:
         session = self.session
-        if (session.folder.path / CHECKPOINT).is_file():
-            facts = load_checkpoint(self.model, session.folder.path)
-            session.best, session.last = facts["best"], facts["last"]
-            self.examined, session.earlier_seconds = facts["examined"], facts["seconds"]
-        self._began = self._saved = time.perf_counter()
+        state = recover(session.folder.path / FILE, partial(put_into, self.model))
+        if state:
+            self.examined = state["examined"]
+            session.recall(state["session"], self.model.num_timesteps)
+        self._began = time.perf_counter()
         self._first_step = self.model.num_timesteps
 
     def _on_step(self) -> bool:
@@ -60,8 +60,7 @@ class Trainer(BaseCallback):
         if self.model.num_timesteps >= (self.examined + 1) * budget.steps / budget.evaluations:
             self.examine()
             self.examined += 1
-        if time.perf_counter() - self._saved > CHECKPOINT_PERIOD:
-            self.save()
+        self.between()
         elapsed = time.perf_counter() - self._began
         self.session.on_progress(
             Progress(
@@ -76,10 +75,8 @@ class Trainer(BaseCallback):
 
     def save(self) -> None:
         """Write a checkpoint."""
-        session = self.session
-        facts = {"best": session.best, "last": session.last, "examined": self.examined, "seconds": session.seconds}
-        save_checkpoint(self.model, session.folder.path, facts)
-        self._saved = time.perf_counter()
+        state = {"counters": counters(self.model), "examined": self.examined, "session": self.session.facts()}
+        keep(self.session.folder.path / FILE, tensors_of(self.model), state)
 
     def examine(self) -> None:
         """Evaluate the current policy."""

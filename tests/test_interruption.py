@@ -1,0 +1,119 @@
+"""Asked to stop: work is kept first, a second request leaves at once, what is ignored stays ignored."""
+
+import logging
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from racerl.interruption import Terminated, held_back, listen
+
+CODE = """
+import sys
+from racerl.train import session
+session.CHECKPOINT_PERIOD = 1e6
+from racerl.cli import main
+sys.argv = ["racerl", "train", "budget=smoke", "threads=1", "budget.steps=300000", "out=" + sys.argv[1]]
+main()
+"""
+
+
+@pytest.fixture(autouse=True)
+def handlers():
+    """Put the handlers back that were there."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_a_command_as_ctrl_c_does(number):
+    listen()
+    with pytest.raises(KeyboardInterrupt) as stop:
+        os.kill(os.getpid(), number)
+        time.sleep(1.0)
+    assert isinstance(stop.value, Terminated) and stop.value.number == number
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_the_first_is_held_back_until_work_is_kept(number, caplog):
+    listen()
+    kept = []
+    with pytest.raises(KeyboardInterrupt), held_back() as asked:
+        asked.release()  # nothing has come
+        os.kill(os.getpid(), number)
+        time.sleep(0.01)
+        assert asked
+        kept.append("work")
+        asked.release()
+        kept.append("never")
+    assert kept == ["work"] and "ask again to leave at once" in caplog.text
+
+
+def test_the_second_leaves_at_once():
+    kept = []
+    with pytest.raises(KeyboardInterrupt), held_back():
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.01)
+        kept.append("one")
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(1.0)
+        kept.append("two")
+    assert kept == ["one"]
+
+
+def test_one_that_came_too_late_to_be_looked_at_is_not_lost():
+    with pytest.raises(KeyboardInterrupt), held_back():
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.01)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_what_is_ignored_stays_ignored():
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as under nohup
+    listen()
+    with held_back() as asked:
+        os.kill(os.getpid(), signal.SIGHUP)
+        time.sleep(0.01)
+        assert not asked
+    assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+
+
+def test_it_works_outside_the_main_thread():
+    from concurrent.futures import ThreadPoolExecutor
+
+    def work():
+        with held_back() as asked:
+            asked.release()
+            return bool(asked)
+
+    with ThreadPoolExecutor(1) as pool:
+        assert pool.submit(work).result() is False
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_training_keeps_a_checkpoint_and_ends_soon(number, tmp_path):
+    out = tmp_path / "run"
+    job = subprocess.Popen([sys.executable, "-c", CODE, str(out)], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    log, deadline = out / "progress.jsonl", time.monotonic() + 90
+    while not (log.exists() and log.read_text().count("\n") >= 3) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    job.send_signal(number)
+    asked = time.monotonic()
+    told, warned = job.communicate(timeout=30)
+    assert time.monotonic() - asked < 10.0
+    assert job.returncode == 128 + number
+    assert (out / "checkpoint.safetensors").is_file()
+    assert f"the same command with out={out} continues" in told.decode().replace("\n", " ")
+    assert "Traceback" not in warned.decode()
+
+
+def test_the_log_says_so_in_one_line(caplog):
+    with caplog.at_level(logging.WARNING), pytest.raises(KeyboardInterrupt), held_back():
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.01)
+    assert len(caplog.records) == 1
