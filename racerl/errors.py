@@ -31,6 +31,10 @@ class RunError(RacerlError):
     """A run folder that is incomplete, busy, foreign or of another version."""
 
 
+class Diverged(RunError):
+    """A training whose weights are no longer finite; `racerl.train.train` keeps the best policy from before."""
+
+
 class LogError(RacerlError):
     """A drive log that cannot be read, is damaged, or lacks what a stage needs."""
 

@@ -97,7 +97,7 @@ def write(folder: RunFolder, seat: "Seat", car: Car, seed: int) -> dict[str, Any
         car=car.name,
         controller=seat.name,
         floor=known(race.vehicle, race.track, race.action),
-        faults=race.faults,
+        race=race,
         drive_mode=race.action.drive_mode,
         laps_wanted=seat.session.laps,
     )

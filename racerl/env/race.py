@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from racerl.env.actions import Action
+from racerl.env.black_box import BlackBox
 from racerl.env.chosen import Chosen, Masked, Numbered
 from racerl.env.dice import Dice
 from racerl.env.observations import OBSERVATION_LIMIT, Observation
@@ -166,6 +167,7 @@ class Race(Rows):
         zeros = torch.zeros(self.count, device=self.device, dtype=self.dtype)
         self.state = torch.zeros(len(self.vehicle.states), self.count, device=self.device, dtype=self.dtype)
         self.command = torch.zeros(2, self.count, device=self.device, dtype=self.dtype)
+        self.box = BlackBox(self.vehicle.states, self.state)
         # the latest commands, newest first, as far as any acts late
         self.history = torch.zeros(late + 1 if late else 0, 2, self.count, device=self.device, dtype=self.dtype)
         # what sensors showed, newest first, where they do not show the truth at once
@@ -262,8 +264,8 @@ class Race(Rows):
         drawn = self.draws.values if chosen is None else chosen.take(self.draws.values)
         return replace_values(self.vehicle, dict(zip(self.draws.names, drawn.unbind(0), strict=True)))
 
-    def _drive(self) -> Tensor:
-        """Return the states after one control period."""
+    def driven(self) -> Tensor:
+        """Return the states (S, N) after one control period with the commands as they are."""
         if not self._late:
             return self.motion(self.state, self.command, self.draws.values)
         delays = self._drawn().delays()
@@ -275,7 +277,9 @@ class Race(Rows):
 
     def _move(self) -> tuple[Tensor, Tensor]:
         """Integrate and project; return the progress in m and the cars whose state or place is none of this world."""
-        moved, faulty = self._drive(), self._nobody
+        if self.waits:
+            self.box.note(self.state, self.command, self.age)
+        moved, faulty = self.driven(), self._nobody
         if not self.waits or not bool(moved.abs().amax() < LARGEST):
             faulty = self._fail(~(moved.abs() < LARGEST).all(dim=0))
             # the state before may be broken too; the car is started over after this step
@@ -345,7 +349,9 @@ class Race(Rows):
         return faulty
 
     def _report(self, faulty: Tensor) -> None:
-        """Log the state from which a simulation failed."""
+        """Log the state from which a simulation failed, and keep what led to it."""
+        drawn = dict(zip(self.draws.names, self.draws.values, strict=True))
+        self.box.keep(faulty.nonzero()[:, 0], drawn)
         car = int(faulty.nonzero()[0])
         state = ", ".join(
             f"{name} {float(value):.4g}" for name, value in zip(self.vehicle.states, self.state[:, car], strict=True)

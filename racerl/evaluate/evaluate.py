@@ -67,7 +67,7 @@ def evaluate(
         car=car.name,
         controller=policy.name,
         floor=floor,
-        faults=race.faults,
+        race=race,
         run=str(settings["run"]),
         run_id=trained.manifest["run_id"],
         trained={key: trained.manifest.get(key) for key in ("steps", "seconds")},

@@ -11,6 +11,8 @@ import numpy as np
 import pandas as pd
 
 from racerl.documents import write_json, write_parquet, write_text
+from racerl.env.black_box import write_failures
+from racerl.env.race import Race
 from racerl.evaluate.laps import Lap, rows, score
 from racerl.optimum.floor import gap
 from racerl.run import RunFolder
@@ -30,12 +32,12 @@ def write_outcome(
     car: str,
     controller: str,
     floor: float | None = None,
-    faults: int = 0,
+    race: Race | None = None,
     **facts: Any,
 ) -> dict[str, Any]:
     """Write the laps of cars with these seeds, their drive and its track; return what is in metrics.json.
 
-    `label` is the driver's name in tables, `floor` the time-optimal lap in s, `faults` how often the simulation failed.
+    `label` is the driver's name in tables, `floor` the time-optimal lap in s, `race` what a simulated drive was in.
     """
     scored = score(laps)
     metrics = {
@@ -48,11 +50,13 @@ def write_outcome(
         "controller": controller,
         "seed": list(seeds),
         **facts,
-        "nan_cars": faults,
+        "nan_cars": race.faults if race else 0,
         "git_sha": folder.manifest["git_sha"],
         "rows": rows(laps, seeds),
     }
     write_parquet(folder.path / TRAJECTORIES, drive)
+    if race:
+        write_failures(folder.path, [race])
     write_text(folder.path / TRACK, track_table(track))
     write_json(folder.path / METRICS, metrics)
     return metrics

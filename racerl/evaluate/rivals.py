@@ -57,7 +57,7 @@ def race(
         car=car.name,
         controller=controller.name,
         floor=floor,
-        faults=field.faults,
+        race=field,
         laps_per_seed=laps,
         **controller.facts,
     )

@@ -167,6 +167,8 @@ def _remarks(subjects: Sequence[Subject]) -> list[str]:
             ("training", subject.training),
             ("evaluation", subject.evaluation and subject.evaluation.manifest),
         ):
+            if facts and facts.get("diverged"):
+                remarks.append(f"{subject.name}: its training {facts['diverged']}")
             if facts and facts.get("nan_cars"):
                 remarks.append(f"{subject.name}: the simulation failed (NaN) {facts['nan_cars']} times in {stage}")
     return remarks

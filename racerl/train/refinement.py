@@ -21,13 +21,13 @@ import torch
 from torch import Tensor, nn
 
 from racerl import bounds
-from racerl.assemble import build_race, unlimited
+from racerl.assemble import unlimited
 from racerl.control.policy import SLOPE, Policy
 from racerl.env.race import Race
 from racerl.errors import ConfigError
 from racerl.train import checkpoint
 from racerl.train.checkpoint import section
-from racerl.train.session import Progress, Session, pace
+from racerl.train.session import Progress, Session, pace, require_finite
 
 FILE = "refinement.safetensors"
 FAINTEST = 1e-3  # root mean square of a layer's input, as which any counts at least
@@ -84,7 +84,8 @@ def refine(session: Session, settings: Refinement, policy: Policy, before: int, 
     An interrupted refinement goes on from its checkpoint. `clean_after_s`: seconds until a first examination without a
     crash, all of whose laps stay on the track, 0 where the best before was such; None if there was none.
     """
-    search = Search(settings, policy.network, lambda cars: _race(session, cars), session.seed)
+    world = unlimited(session.settings)
+    search = Search(settings, policy.network, lambda cars: session.build_race(cars, world), session.seed)
     path = session.folder.path / FILE
     state = checkpoint.recover(path, search.restore)
     first, now = search.generation, session.seconds
@@ -106,6 +107,7 @@ def refine(session: Session, settings: Refinement, policy: Policy, before: int, 
                 session.logger.record(f"refinement/{name}", value)
             number = search.generation
             steps = before + number * settings.steps
+            require_finite({"policy": policy.network.parameters()}, steps, "lower budget.refinement.step")
             if settings.examines(number):
                 session.examine(policy, steps, key=pace)
                 if clean is None and _clean(session.last):
@@ -126,10 +128,6 @@ def refine(session: Session, settings: Refinement, policy: Policy, before: int, 
 
 def _clean(evaluation: Mapping[str, Any]) -> bool:
     return bool(evaluation["laps"]) and evaluation["valid_laps"] == evaluation["laps"]
-
-
-def _race(session: Session, cars: int) -> Race:
-    return build_race(unlimited(session.settings), cars=cars, seeds=[session.seed], device=session.device)
 
 
 class Practice:

@@ -3,7 +3,7 @@
 import json
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -12,14 +12,14 @@ from typing import Any, cast
 import pandas as pd
 import torch
 from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat
-from torch import nn
+from torch import Tensor, nn
 
 from racerl.assemble import build_race, unlimited
 from racerl.control.policy import Policy, save_policy
 from racerl.documents import MAX_TEXT_BYTES, read_text, write_text
 from racerl.env.race import Race
 from racerl.env.termination import Crash
-from racerl.errors import DocumentError, RunError
+from racerl.errors import Diverged, DocumentError, RunError
 from racerl.evaluate.drive import drive
 from racerl.evaluate.laps import score
 from racerl.interruption import held_back
@@ -118,6 +118,7 @@ class Session:
         self.settings, self.out, self.device, self.on_progress = settings, out, device, on_progress
         self.seed: int = settings["seed"]
         self.examiner = Examiner(settings, device)
+        self.races: list[Race] = [self.examiner.race]  # all that is driven in
         self.best: dict[str, Any] | None = None
         self.last: dict[str, Any] = {}
         self.earlier_seconds = 0.0  # of the run before it was resumed
@@ -162,6 +163,12 @@ class Session:
             self.logger.record(key, value)
         self.lines.rewind(steps)
 
+    def build_race(self, cars: int, settings: Mapping[str, Any] | None = None) -> Race:
+        """Return a race of the training's world, or of the settings given, with its seed."""
+        race = build_race(settings or self.settings, cars=cars, seeds=[self.seed], device=self.device)
+        self.races.append(race)
+        return race
+
     @property
     def seconds(self) -> float:
         """Training time in s, earlier sessions included, evaluations too."""
@@ -177,6 +184,13 @@ class Session:
         if improving or self.best is None or key(self.last) <= key(self.best):
             self.best = self.last
             save_policy(policy, self.folder.path, evaluation=self.best)
+
+
+def require_finite(networks: Mapping[str, Iterable[Tensor]], steps: int, remedy: str) -> None:
+    """Raise Diverged where a network's weights are not finite after so many control steps."""
+    for name, weights in networks.items():
+        if not all(bool(weight.isfinite().all()) for weight in weights):
+            raise Diverged(f"diverged after {steps:,} control steps: the {name}'s weights are not finite; {remedy}")
 
 
 def read_progress(run: Path) -> pd.DataFrame:

@@ -13,7 +13,8 @@ from racerl import bounds
 from racerl.assemble import check_settings, choose_device, use_threads
 from racerl.control.policy import FACTS, load_policy, save_policy
 from racerl.documents import read_json
-from racerl.errors import ConfigError
+from racerl.env.black_box import write_failures
+from racerl.errors import ConfigError, Diverged, RunError
 from racerl.registry import construct
 from racerl.train.algorithms import Algorithm, create_algorithm
 from racerl.train.checkpoint import FILE as TRAINING
@@ -28,7 +29,10 @@ UNREFINED = "unrefined"  # folder of the policy as it was before the refinement
 def train(
     settings: Mapping[str, Any], out: Path, on_progress: Callable[[Progress], None] = lambda progress: None
 ) -> dict[str, Any]:
-    """Train a policy into the run folder `out`; return the facts that the manifest keeps."""
+    """Train a policy into the run folder `out`; return the facts that the manifest keeps.
+
+    Raises RunError where the weights do not stay finite; the run is complete then, with the best policy from before.
+    """
     bounds.whole("seed", settings["seed"], 0, 2**31 - 1)
     check_settings(settings)
     if not isinstance(settings.get("algo"), Mapping):
@@ -37,12 +41,25 @@ def train(
     algorithm = create_algorithm(settings["algo"])
     refinement = _refinement(settings["budget"].get("refinement"))
     session = Session(settings, out, choose_device(settings["device"]), on_progress)
-    facts = algorithm.train(session) if refinement is None else _refined(session, algorithm, refinement)
+    try:
+        facts = algorithm.train(session) if refinement is None else _refined(session, algorithm, refinement)
+    except Diverged as error:
+        if session.best is None:
+            raise RunError(f"training {error}; no policy was examined before") from error
+        facts = {"steps": session.best["steps"], "nan_cars": 0, "diverged": str(error)}
+        _finish(session, facts)
+        raise RunError(f"training {error}; the best policy from before is kept in {out}") from error
+    _finish(session, facts)
+    return facts
+
+
+def _finish(session: Session, facts: dict[str, Any]) -> None:
+    """Mark the run complete; add to the facts what the session knows."""
     facts |= {"seconds": round(session.seconds, 1), "best": session.best}
+    write_failures(session.out, session.races)
     session.folder.finish(**facts)
     for name in (TRAINING, REFINING):  # only now: a run that is killed before goes on from them
         discard(session.out / name)
-    return facts
 
 
 def _refinement(plan: Any) -> Refinement | None:

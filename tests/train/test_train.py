@@ -17,6 +17,8 @@ from racerl.errors import ConfigError, RunError
 from racerl.run import RunFolder
 from racerl.train import session
 from racerl.train.checkpoint import FILE as CHECKPOINT
+from racerl.train.ppo import RacePPO
+from racerl.train.refinement import Search
 from racerl.train.session import pace, rank
 from racerl.train.train import train
 from tests.train.pulled import Plug, logged, pull_at
@@ -143,6 +145,48 @@ def test_a_run_goes_on_from_the_checkpoint_before_a_damaged_one(smoke_run, tmp_p
     train(settings, out)
     assert "damaged" in caplog.text
     assert (out / "policy.safetensors").read_bytes() == (smoke_run / "policy.safetensors").read_bytes()
+
+
+@pytest.mark.parametrize("rollouts", [1, 3])
+def test_a_learner_that_diverges_stops_and_leaves_its_last_good_policy(rollouts, tmp_path, monkeypatch):
+    words = [*SMOKE, "budget.steps=6144", "budget.evaluations=6"]
+    learn, done = RacePPO.train, []
+
+    def poisoned(model):
+        learn(model)
+        done.append(True)
+        if len(done) == rollouts + 1:
+            with torch.no_grad():
+                model.policy.value_net.bias.fill_(float("nan"))
+
+    monkeypatch.setattr(RacePPO, "train", poisoned)
+    with pytest.raises(RunError, match=rf"diverged after {1024 * (rollouts + 1):,} .*critic.*learning_rate.*kept in"):
+        train(compose_settings("train", words), tmp_path / "run")
+    assert len(done) == rollouts + 1  # nothing more was learned
+    folder = RunFolder.open_complete(tmp_path / "run", "train")
+    assert "critic's weights are not finite" in folder.manifest["diverged"]
+    assert folder.manifest["best"]["steps"] <= 1024 * rollouts
+    policy = load_policy(tmp_path / "run")
+    assert all(bool(weight.isfinite().all()) for weight in policy.network.parameters())
+
+
+def test_a_refinement_that_diverges_leaves_the_policy_from_before(tmp_path, monkeypatch):
+    plan = "{generations:4,evaluations:4,pairs:16,horizon:20,between:5,episode:40,again:0.9,momentum:0.9"
+    plan += ",perturbation:[0.02,0.005],step:[0.005,0.0005],most:[0.3,1.0]}"
+    advance = Search.advance
+
+    def poisoned(search):
+        measures = advance(search)
+        if search.generation == 2:
+            with torch.no_grad():
+                search.linear[-1].bias.fill_(float("inf"))
+        return measures
+
+    monkeypatch.setattr(Search, "advance", poisoned)
+    with pytest.raises(RunError, match=r"policy's weights are not finite; lower budget\.refinement\.step"):
+        train(compose_settings("train", [*SMOKE, f"budget.refinement={plan}"]), tmp_path / "run")
+    policy = load_policy(tmp_path / "run")
+    assert all(bool(weight.isfinite().all()) for weight in policy.network.parameters())
 
 
 def test_results_are_never_overwritten(smoke_run, tmp_path):

@@ -13,13 +13,13 @@ import torch
 from torch import Tensor, nn
 
 from racerl import bounds
-from racerl.assemble import build_race, unlimited
+from racerl.assemble import unlimited
 from racerl.control.policy import build_network
 from racerl.env.race import Race
 from racerl.train import checkpoint
 from racerl.train.checkpoint import load_optimizer, optimizer_tensors, section
 from racerl.train.products import fast_products
-from racerl.train.session import Progress, Session, policy_of
+from racerl.train.session import Progress, Session, policy_of, require_finite
 from racerl.train.teacher import Teacher, find_teacher
 
 # greatest of the whole numbers, and least and greatest of the others
@@ -100,14 +100,11 @@ class Imitation:
     def train(self, session: Session) -> dict[str, Any]:
         """Drive and fit for `rounds` rounds."""
 
-        def build(settings: Mapping[str, Any]) -> Race:
-            return build_race(settings, cars=self.cars, seeds=[session.seed], device=session.device)
-
-        race = build(session.settings)
+        race = session.build_race(self.cars)
         session.start()
         # a lap at the limit is beyond a car with less grip, however good its feedback: trials are of the plain car
         plain = unlimited({**session.settings, "dr": {"sigma": 0.0, "parameters": []}})
-        teacher = find_teacher(lambda: build(plain))
+        teacher = find_teacher(lambda: session.build_race(self.cars, plain))
         torch.manual_seed(session.seed)
         network = build_network([race.observation.size, *self.layers, 2]).to(session.device)
         optimizer = torch.optim.Adam(network.parameters(), self.learning_rate)
@@ -133,6 +130,7 @@ class Imitation:
                     loss = self._fit(lessons, last)
                 lessons.rounds += 1
                 steps = lessons.rounds * self.cars * self.steps
+                require_finite({"policy": network.parameters()}, steps, "lower algo.learning_rate")
                 if last or lessons.rounds % self.examined_every == 0:
                     # one flying lap from a standing start says little of the pace: the policy that has seen most is
                     # kept

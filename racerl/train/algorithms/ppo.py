@@ -1,5 +1,6 @@
 """Proximal policy optimisation within the budget; an interrupted run continues from its checkpoint, bit for bit."""
 
+import copy
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,10 +9,11 @@ from typing import Any
 
 from stable_baselines3.common.callbacks import BaseCallback
 
-from racerl.assemble import build_race
+from racerl.control.policy import Policy
+from racerl.errors import Diverged
 from racerl.train.checkpoint import FILE, counters, keep, put_into, recover, tensors_of
-from racerl.train.ppo import Budget, RacePPO
-from racerl.train.session import Progress, Session, policy_of
+from racerl.train.ppo import Budget, RacePPO, actor_of
+from racerl.train.session import Progress, Session, policy_of, require_finite
 
 
 @dataclass(frozen=True)
@@ -21,13 +23,18 @@ class Ppo:
     def train(self, session: Session) -> dict[str, Any]:
         """Train for `budget.steps` control steps."""
         budget = Budget.of(session.settings["budget"])
-        race = build_race(session.settings, cars=budget.cars, seeds=[session.seed], device=session.device)
+        race = session.build_race(budget.cars)
         session.start()
         model = RacePPO(race, budget, session.seed)
         model.set_logger(session.logger)
         trainer = Trainer(session)
-        with session.kept(trainer.save) as trainer.between:
-            model.learn(budget.steps, callback=trainer)
+        try:
+            with session.kept(trainer.save) as trainer.between:
+                model.learn(budget.steps, callback=trainer)
+            trainer.check()
+        except Diverged:
+            trainer.examine()
+            raise
         trainer.examine()
         return {"steps": model.num_timesteps, "nan_cars": race.faults}
 
@@ -42,6 +49,8 @@ class Trainer(BaseCallback):
         self.session = session
         self.examined = 0  # evaluations so far
         self.between: Callable[[], None] = lambda: None
+        self.good: Policy  # after the last update whose weights were finite
+        self.good_steps = 0
 
     def _on_training_start(self) -> None:
         session = self.session
@@ -55,7 +64,16 @@ class Trainer(BaseCallback):
     def _on_step(self) -> bool:
         return True
 
+    def check(self) -> None:
+        """Remember the policy as it is if all weights are finite; raise Diverged otherwise."""
+        model = self.model
+        networks = {"actor": actor_of(model).parameters(), "critic": model.policy.parameters()}
+        require_finite(networks, model.num_timesteps, "lower budget.learning_rate or budget.gradient_norm")
+        self.good = policy_of(copy.deepcopy(model.actor()), model.race, self.session.settings)
+        self.good_steps = model.num_timesteps
+
     def _on_rollout_start(self) -> None:
+        self.check()
         budget = self.model.budget
         if self.model.num_timesteps >= (self.examined + 1) * budget.steps / budget.evaluations:
             self.examine()
@@ -79,6 +97,5 @@ class Trainer(BaseCallback):
         keep(self.session.folder.path / FILE, tensors_of(self.model), state)
 
     def examine(self) -> None:
-        """Evaluate the current policy."""
-        policy = policy_of(self.model.actor(), self.model.race, self.session.settings)
-        self.session.examine(policy, self.model.num_timesteps)
+        """Evaluate the policy that was good last."""
+        self.session.examine(self.good, self.good_steps)
