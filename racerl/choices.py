@@ -16,6 +16,12 @@ def default_groups(command: str) -> list[str]:
     return [name for name in names if not name.startswith("override ") and name != "hydra"]
 
 
+def optional_groups(command: str) -> set[str]:
+    """Return the groups that a command takes from elsewhere where none is chosen."""
+    defaults = read_yaml(conf_folder() / f"{command}.yaml").get("defaults", [])
+    return {name for e in defaults if isinstance(e, Mapping) for name, choice in e.items() if choice is None}
+
+
 def own_keys(command: str) -> set[str]:
     """Return the groups and keys that a command's configuration has."""
     base = read_yaml(conf_folder() / f"{command}.yaml")

@@ -228,6 +228,16 @@ def gap_close(
 
 
 @app.command(context_settings=HYDRA)
+def rerun(arguments: Annotated[list[str] | None, _words("RUN [KEY=VALUE]...", "rerun")] = None) -> None:
+    """Do a finished run again and compare: racerl rerun outputs/train/first
+
+    From its own configuration, below out=; says which files came out otherwise, in what, and what has changed of
+    machine and software. Exit status 1 where any differs. Writes rerun.json.
+    """
+    _run("rerun", arguments, _rerun, positional="run")
+
+
+@app.command(context_settings=HYDRA)
 def sweep(
     arguments: Annotated[
         list[str] | None, _words("SWEEP [GROUP=CHOICE | KEY=VALUE]...", "sweep", "train", others=completion.sweeps)
@@ -593,6 +603,21 @@ def _sweep(settings: "Settings", out: Path) -> None:
         words = "; ".join(f"{name}: {line}" for name, line in failed.items())
         planned = facts["jobs"]["planned"]
         raise RunError(f"{len(failed)} of {planned} jobs failed, the same command tries them again: {words}")
+
+
+def _rerun(settings: "Settings", out: Path) -> None:
+    from racerl.config import compose_settings
+    from racerl.rerun import RESULT, rerun
+
+    console = _console()
+    with _continued(console, out):
+        facts = rerun(settings, out, compose_settings)
+    lines = [f"differs: {each['file']}: {each['what']}" for each in facts["differences"]]
+    told = "all files came out the same" if facts["same"] else f"{len(lines)} files came out otherwise"
+    lines += [f"changed: {line}" for line in facts["changed"]]
+    _print_lines(console, f"{told}; {len(facts['files'])} compared", *lines, f"numbers in {out / RESULT}")
+    if not facts["same"]:
+        raise typer.Exit(1)
 
 
 def _bench(settings: "Settings", out: Path) -> None:

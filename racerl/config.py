@@ -23,7 +23,7 @@ from hydra.plugins.search_path_plugin import SearchPathPlugin
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from racerl.choices import choices, default_groups, own_keys
+from racerl.choices import choices, default_groups, optional_groups, own_keys
 from racerl.documents import conf_folder, read_yaml, require_finite
 from racerl.errors import ConfigError, DocumentError, suggest
 from racerl.run import WORDS
@@ -303,14 +303,8 @@ def _check_keys(command: str, settings: Settings) -> None:
     for key in settings:
         if key not in known:
             raise _unknown_key(command, key, known)
-    for key in sorted(known - set(settings) - _optional(command)):
+    for key in sorted(known - set(settings) - optional_groups(command)):
         raise ConfigError(f"{key} was removed; it is needed, give {key}=…")
-
-
-def _optional(command: str) -> set[str]:
-    """Return the groups that a command takes from elsewhere where none is chosen."""
-    defaults = read_yaml(conf_folder() / f"{command}.yaml").get("defaults", [])
-    return {name for e in defaults if isinstance(e, Mapping) for name, choice in e.items() if choice is None}
 
 
 def _check_values(command: str, settings: Settings, overrides: Sequence[str]) -> None:
@@ -367,7 +361,7 @@ def _translate(command: str, error: Exception) -> ConfigError:
 def _unknown_key(command: str, key: str, known: Collection[str]) -> ConfigError:
     """Return what to say of a key that is not there: the nearest by its whole name or its last, and where all are."""
     group = key.partition(".")[0]
-    if "." in key and _optional(command) & {group}:
+    if "." in key and optional_groups(command) & {group}:
         return ConfigError(f"unknown key '{key}' while {group} is the run's; give {group}=NAME or FILE with it")
     last, names = key.rpartition(".")[2], sorted(set(known))
     ends = difflib.get_close_matches(last, {name.rpartition(".")[2] for name in names}, n=3, cutoff=0.75)
