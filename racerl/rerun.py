@@ -85,19 +85,23 @@ def rerun(settings: Mapping[str, Any], out: Path, compose: Compose) -> dict[str,
         own = {**stored, "out": str(path)}
         STAGES[kind](own, path, *([compose] if kind in COMPOSING else []))
     after = RunFolder.open_complete(path, stage)
-    files = sorted(_files(before.path))
-    differences = list(_differences(before.path, path, files))
+    differences = compare(before.path, path)
     facts = {
         "run": settings["run"],
         "stage": stage,
         "same": not differences,
-        "files": files,
+        "files": sorted(_files(before.path)),
         "differences": [{"file": each.file, "what": each.what} for each in differences],
         "changed": list(_changed(before.manifest, after.manifest)),
     }
     write_json(folder.path / RESULT, facts)
     folder.finish(same=facts["same"])
     return facts
+
+
+def compare(before: Path, after: Path) -> list[Difference]:
+    """Return what differs between two runs of the same settings."""
+    return list(_differences(before, after, sorted(_files(before))))
 
 
 def _files(run: Path) -> Iterator[str]:

@@ -1,0 +1,1 @@
+"""Attacks by the thousand; run before a release with `pytest -n0 -s -m soak`."""

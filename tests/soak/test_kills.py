@@ -1,0 +1,119 @@
+"""Commands killed at random and given again: what they leave is what an undisturbed one leaves, byte for byte.
+
+Every case is run undisturbed once; then, in folders of their own, runs of the same words are killed by SIGKILL one to
+three times each, after random times, and finished. Fails where the checkpoint of a training is no longer written or
+read (imitation without `recover`, PPO without its progress), where a gap's parts are not kept, where a run killed
+while its manifest is written is refused, and where jobs of a killed sweep live on.
+"""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from racerl.rerun import compare
+from racerl.run import is_complete
+
+pytestmark = pytest.mark.soak
+
+PERIOD = 0.5  # s between checkpoints, for trainings of seconds
+MAIN = f"""
+import sys
+from racerl.train import session
+session.CHECKPOINT_PERIOD = {PERIOD}
+from racerl.cli import main
+main()
+"""
+REFINED = (
+    "budget.refinement={generations:60,evaluations:6,pairs:32,horizon:40,between:5,episode:80,again:0.9,momentum:0.9,"
+    "perturbation:[0.02,0.005],step:[0.005,0.0005],most:[0.3,1.0]}"
+)
+PPO = ["budget=smoke", "threads=1", "+dr=friction_0.02", "budget.final_std=0.1", "budget.normalise=true"]
+SHORT = ["algo.rounds=12", "algo.cars=64", "algo.updates=60", "algo.last_updates=200"]
+CASES = {  # words, and how many kills
+    "PPO refined": (["train", *PPO, "budget.steps=120000", "budget.evaluations=10", REFINED], 30),
+    "imitation": (["train", "algo=imitation", "threads=1", *SHORT, "budget.refinement=null"], 10),
+    "sweep": (["sweep", "actuator_model", *PPO, "budget.steps=20000", "seeds=[0]", "cars=[model]", "threads=1"], 20),
+    "gap": (["gap", "../log.parquet", "vehicle=published", "threads=1"], 20),
+    "identify": (["identify", "../log.parquet", "starts=1", "folds=2", "threads=1"], 15),
+    "record": (["record", "seconds=300", "vehicle=published", "drive=race"], 20),
+}
+LOG = ["record", "drive=programme", "seconds=90", "vehicle=published", "out=recorded", "+vehicle/effect=yaw_damping"]
+SEED = 20261126
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """Return a folder with a log in it."""
+    folder = tmp_path_factory.mktemp("kills")
+    finish(LOG, folder)
+    (folder / "recorded" / "log.parquet").rename(folder / "log.parquet")
+    return folder
+
+
+def start(words, folder):
+    folder.mkdir(exist_ok=True)
+    command = [sys.executable, "-c", MAIN, *words]
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    return subprocess.Popen(command, cwd=folder, start_new_session=True, **streams)
+
+
+def finish(words, folder):
+    """Run a command to its end; return the seconds."""
+    began = time.monotonic()
+    job = start(words, folder)
+    said = job.communicate(timeout=900)[0].decode()
+    assert job.returncode == 0, said
+    return time.monotonic() - began
+
+
+def at_work(folder):
+    """Return the processes that work in a folder."""
+    found = []
+    for each in Path("/proc").glob("[0-9]*"):
+        try:
+            if (each / "cwd").readlink().is_relative_to(folder):
+                found.append(each.name)
+        except OSError:
+            continue
+    return found
+
+
+@pytest.mark.parametrize("name", list(CASES))
+def test_killed_and_given_again(name, place, capsys):
+    words, most = CASES[name]
+    words = [*words, "out=run"]
+    whole = place / f"{name} undisturbed".replace(" ", "_")
+    seconds = finish(words, whole)
+    dice, kills, runs, late = np.random.default_rng(SEED), 0, 0, 0
+    while kills < most:
+        folder = place / f"{name} {runs}".replace(" ", "_")
+        for _ in range(dice.integers(1, 4)):
+            job = start(words, folder)
+            try:
+                job.wait(dice.uniform(0.15, 1.0) * seconds)
+            except subprocess.TimeoutExpired:
+                os.kill(job.pid, signal.SIGKILL)
+                job.wait()
+                kills += 1
+                newest = [path.stat().st_mtime for path in folder.glob("run/checkpoint.safetensors")]
+                late += bool(newest) and time.time() - newest[0] > PERIOD + 2.0
+            else:
+                break  # done before it could be killed
+            deadline = time.monotonic() + 10.0
+            while (left := at_work(folder)) and time.monotonic() < deadline:
+                time.sleep(0.2)
+            assert not left, f"{name}: processes {left} live on"
+        if not is_complete(folder / "run"):
+            finish(words, folder)
+        differences = compare(whole / "run", folder / "run")
+        assert not differences, f"{name}, run {runs}: {differences}"
+        assert not [path for path in (folder / "run").rglob("*") if path.name.endswith(".tmp")]
+        runs += 1
+    with capsys.disabled():
+        print(f"\n{name}: {kills} kills in {runs} runs of {seconds:.0f} s, all as undisturbed; {late} checkpoints late")
