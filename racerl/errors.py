@@ -51,6 +51,7 @@ class PolicyError(RacerlError):
 REMEDIES = {
     errno.ENOSPC: "make room; where a run had begun, the same words with the same out= go on",
     errno.EDQUOT: "make room; where a run had begun, the same words with the same out= go on",
+    errno.EFBIG: "files may not be larger here (ulimit -f); raise the limit, then the same words go on",
     errno.EROFS: "choose another out=",
     errno.EACCES: "ask for permission, or choose another out=",
     errno.EPERM: "ask for permission, or choose another out=",

@@ -88,13 +88,10 @@ def refine(session: Session, settings: Refinement, policy: Policy, before: int, 
     search = Search(settings, policy.network, lambda cars: session.build_race(cars, world), session.seed)
     path = session.folder.path / FILE
     state = checkpoint.recover(path, search.restore)
-    first, now = search.generation, session.seconds
-    if state:
-        session.recall(state["session"], before + first * settings.steps)
-        now, clean = session.seconds, state["clean"]
-    else:
-        session.lines.rewind(before)
-        clean = 0.0 if session.best and _clean(session.best) else None
+    first = search.generation
+    session.recall(state, before + first * settings.steps)
+    clean = state["clean"] if state else 0.0 if session.best and _clean(session.best) else None
+    now = session.seconds
 
     def keep() -> None:
         facts = {"generation": search.generation, "clean": clean, "session": session.facts()}

@@ -156,12 +156,15 @@ class Session:
         pending = {key: float(value) for key, value in self.logger.name_to_value.items()}
         return {"best": self.best, "last": self.last, "seconds": self.seconds, "pending": pending}
 
-    def recall(self, facts: Mapping[str, Any], steps: int) -> None:
-        """Go on from a checkpoint that was written after so many steps."""
-        self.best, self.last, self.earlier_seconds = facts["best"], facts["last"], facts["seconds"]
-        for key, value in facts["pending"].items():
-            self.logger.record(key, value)
+    def recall(self, state: Mapping[str, Any] | None, steps: int) -> None:
+        """Go on from a checkpoint's state after so many steps, or without one; what was logged behind is taken back."""
         self.lines.rewind(steps)
+        if state is None:
+            return
+        known = state["session"]
+        self.best, self.last, self.earlier_seconds = known["best"], known["last"], known["seconds"]
+        for key, value in known["pending"].items():
+            self.logger.record(key, value)
 
     def build_race(self, cars: int, settings: Mapping[str, Any] | None = None) -> Race:
         """Return a race of the training's world, or of the settings given, with its seed."""

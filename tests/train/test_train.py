@@ -80,9 +80,9 @@ def test_the_course_of_a_run_pulled_twice_is_that_of_an_undisturbed_one(tmp_path
     words = ["budget.steps=6144", "budget.final_std=0.1", "budget.final_learning_rate=1e-5", "budget.normalise=true"]
     settings = compose_settings("train", [*SMOKE, "dr=friction_0.02", *words])
     train(settings, tmp_path / "whole")
-    monkeypatch.setattr(session, "CHECKPOINT_PERIOD", 0.0)
-    pull = pull_at(2048, 4096)
-    for _ in range(2):
+    pull = pull_at(1024, 2048, 4096)
+    for period in (1e6, 0.0, 0.0):  # before its first checkpoint, and behind others
+        monkeypatch.setattr(session, "CHECKPOINT_PERIOD", period)
         with pytest.raises(Plug):
             train(settings, tmp_path / "pulled", pull)
         (tmp_path / "pulled" / "progress.jsonl").open("a").write('{"steps": 3')  # torn, and never read again

@@ -112,9 +112,8 @@ class Imitation:
         lessons = Lessons(race, network, optimizer, dice)
         path = session.folder.path / checkpoint.FILE
         state = checkpoint.recover(path, lessons.restore)
-        if state:
-            session.recall(state["session"], lessons.rounds * self.cars * self.steps)
-        else:
+        session.recall(state, lessons.rounds * self.cars * self.steps)
+        if state is None:
             self._start_fast(race, teacher, race.age == 0, dice)
 
         def keep() -> None:

@@ -55,9 +55,9 @@ class Trainer(BaseCallback):
     def _on_training_start(self) -> None:
         session = self.session
         state = recover(session.folder.path / FILE, partial(put_into, self.model))
+        session.recall(state, self.model.num_timesteps)
         if state:
             self.examined = state["examined"]
-            session.recall(state["session"], self.model.num_timesteps)
         self._began = time.perf_counter()
         self._first_step = self.model.num_timesteps
 
