@@ -13,6 +13,7 @@ import json
 import math
 import os
 import stat
+import sys
 import tempfile
 import time
 from collections.abc import Iterator, Mapping
@@ -164,6 +165,7 @@ def read_json(path: Path) -> dict[str, Any]:
         raise DocumentError(f"{path}: not valid JSON ({error}); write it again") from error
     if not isinstance(content, dict):
         raise DocumentError(f"{path}: holds a {type(content).__name__}, an object was expected")
+    require_finite(content, str(path))
     return content
 
 
@@ -203,7 +205,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
 
 def require_finite(content: Any, where: str) -> None:
-    """Raise DocumentError when a number anywhere inside is NaN or infinite."""
+    """Raise DocumentError when a number anywhere inside is NaN, infinite or too large to be computed with."""
     if isinstance(content, Mapping):
         for key, value in content.items():
             require_finite(value, f"{where}: {key}")
@@ -212,6 +214,8 @@ def require_finite(content: Any, where: str) -> None:
             require_finite(value, where)
     elif isinstance(content, float) and not math.isfinite(content):
         raise DocumentError(f"{where} is {content}; give a finite number")
+    elif isinstance(content, int) and abs(content) > sys.float_info.max:
+        raise DocumentError(f"{where} is beyond ± 1e308; give a smaller number")
 
 
 def inside(folder: Path, name: str) -> Path:

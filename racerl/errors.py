@@ -69,9 +69,9 @@ def refused(error: OSError) -> str:
     return f"{where}{error.strerror or error}" + (f"; {remedy}" if remedy else "")
 
 
-def suggest(value: str, choices: Iterable[str], most: int = 3) -> str:
+def suggest(value: object, choices: Iterable[str], most: int = 3) -> str:
     """Return "; did you mean …?" with the near choices; all choices, or the nearest of many, when none is near."""
-    known = sorted(set(choices))
+    known, value = sorted(set(choices)), str(value)
     near = difflib.get_close_matches(value, known, n=most, cutoff=0.6)
     if near:
         return f"; did you mean {' or '.join(near)}?"

@@ -102,7 +102,7 @@ def load_policy(folder: Path, device: torch.device | str = "cpu") -> Policy:
 
 def _sizes(facts: Mapping[str, Any], folder: Path) -> list[int]:
     sizes = facts.get("layers")
-    whole = isinstance(sizes, list) and all(isinstance(n, int) and 0 < n <= MAX_UNITS for n in sizes)
+    whole = isinstance(sizes, list) and all(type(n) is int and 0 < n <= MAX_UNITS for n in sizes)
     if not whole or not 2 <= len(sizes or []) <= MAX_LAYERS:
         raise PolicyError(
             f"{folder / FACTS}: layers = {sizes!r}; a list of 2 … {MAX_LAYERS} positive sizes was expected"

@@ -123,7 +123,7 @@ def _read(path: Path, vehicle: Vehicle, action: Action) -> Solution | None:
             raise OptimumError(str(content["error"]))
         states, commands, durations = (np.array(content[key], float) for key in ("states", "commands", "durations"))
         stretch = Stretch(**{key: np.array(row, float) for key, row in content["stretch"].items()})
-    except (DocumentError, KeyError, TypeError, ValueError, AttributeError):
+    except (DocumentError, KeyError, TypeError, ValueError, AttributeError, OverflowError):
         return None
     count = len(durations)
     shapes = [states.shape, commands.shape, *(row.shape for row in vars(stretch).values())]

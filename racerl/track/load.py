@@ -160,8 +160,11 @@ def _find_image(path: Path, name: str) -> Path:
         named = inside(path.parent, name)
     except DocumentError as error:
         raise TrackError(f"track {path}: image {error}") from error
-    if name and named.is_file():
-        return named
+    try:
+        if name and named.is_file():
+            return named
+    except OSError as error:  # too long to be a name
+        raise TrackError(f"track {path}: image {name[:80]!r}: cannot be a file ({error.strerror})") from error
     beside = sorted(file for file in path.parent.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES)
     own = [file for file in beside if file.stem == path.stem] or beside
     if len(own) != 1:
