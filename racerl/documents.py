@@ -6,6 +6,7 @@ refused (they can blow a small file up to gigabytes), and no reader can run code
 """
 
 import contextlib
+import errno
 import fcntl
 import hashlib
 import io
@@ -130,6 +131,18 @@ def write_parquet(path: Path, table: "pd.DataFrame") -> None:
     write_bytes(path, stream.getvalue())
 
 
+def require_content(path: Path) -> None:
+    """Raise DocumentError for what is no file with something in it: for libraries that would read pipes and devices."""
+    try:
+        facts = path.stat()
+    except OSError as error:
+        raise DocumentError(f"{path}: cannot be read ({error.strerror}); check the path") from error
+    if not stat.S_ISREG(facts.st_mode):
+        raise DocumentError(f"{path}: is a pipe, a device or a folder; give a file")
+    if not facts.st_size:  # as the kernel's own files look, which may never end
+        raise DocumentError(f"{path}: is empty; give a file with something in it")
+
+
 def read_bytes(path: Path, limit: int) -> bytes:
     """Read a file of at most `limit` bytes; raise DocumentError otherwise, and for what never ends: pipes, devices."""
     try:
@@ -138,7 +151,11 @@ def read_bytes(path: Path, limit: int) -> bytes:
             raise DocumentError(f"{path}: is a pipe or a device; give a file")
         if facts.st_size > limit:
             raise DocumentError(f"{path}: {facts.st_size} bytes, at most {limit} are read; is this the right file?")
-        return path.read_bytes()
+        if stat.S_ISDIR(facts.st_mode):
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+        # without waiting for anybody, should it have become a pipe meanwhile
+        with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as stream:
+            return stream.read(os.fstat(stream.fileno()).st_size)  # no more: a file of the kernel's may never end
     except OSError as error:
         raise DocumentError(f"{path}: cannot be read ({error.strerror}); check the path") from error
     except ValueError as error:  # a zero byte in the path

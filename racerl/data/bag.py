@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from racerl.data.layout import Layout, Source
 from racerl.data.messages import typestore
 from racerl.data.topics import Topic, found
-from racerl.documents import read_yaml
+from racerl.documents import read_yaml, require_content
 from racerl.errors import DocumentError, LogError, RacerlError, suggest
 
 STORAGES = (".db3", ".mcap")
@@ -162,12 +162,15 @@ def _check_metadata(path: Path, folder: Path) -> None:
 def _check_storage(path: Path, file: Path) -> bool:
     """Raise LogError for a storage file that is damaged or would not fit; return True."""
     try:
+        require_content(file)
         if file.suffix.lower() == ".db3":
             _check_database(path, file)
         else:
             _check_mcap(path, file)
     except LogError:
         raise
+    except DocumentError as error:
+        raise LogError(str(error)) from error
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
     except Exception as error:  # struct, sqlite3, lz4 and zstd errors

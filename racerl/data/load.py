@@ -29,8 +29,8 @@ from racerl.data.differentiate import velocities
 from racerl.data.layout import Layout, Source, read_layout
 from racerl.data.log import CHANNELS, POSE, VELOCITY, Log, sample_time
 from racerl.data.topics import suited
-from racerl.documents import conf_folder, read_yaml
-from racerl.errors import LogError, RacerlError, suggest
+from racerl.documents import conf_folder, read_yaml, require_content
+from racerl.errors import DocumentError, LogError, RacerlError, suggest
 
 TABLES = (".csv", ".csv.gz", ".parquet")
 MAX_BYTES = 512 * 1024 * 1024  # of a table, unpacked
@@ -92,6 +92,11 @@ def load_log(path: Path, layout: Layout) -> Log:
     """Read one file through a layout; raise LogError, one line, where that can't be."""
     if not path.exists():
         raise LogError(f"{path}: no such file; give a log ({', '.join(TABLES)}) or a ROS 2 bag (folder, .db3, .mcap)")
+    if not path.is_dir():
+        try:
+            require_content(path)
+        except DocumentError as error:
+            raise LogError(str(error)) from error
     log = _read(path, layout)
     if layout.velocities != "auto" or log.reckoned or not (said := contradiction(log)):
         return log

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
-from racerl.documents import inside, read_text, read_yaml
+from racerl.documents import inside, read_text, read_yaml, require_content
 from racerl.errors import DocumentError, TrackError, suggest
 from racerl.track.track import Array, Track, build_track
 
@@ -177,7 +177,15 @@ def _find_image(path: Path, name: str) -> Path:
 def _read_image(path: Path) -> Array:
     Image.MAX_IMAGE_PIXELS = MAX_PIXELS
     try:
+        require_content(path)
         with Image.open(path) as image:
             return np.asarray(image.convert("L"), dtype=np.float64)
-    except (OSError, UnidentifiedImageError, Image.DecompressionBombError, ValueError, SyntaxError) as error:
+    except (
+        OSError,
+        DocumentError,
+        UnidentifiedImageError,
+        Image.DecompressionBombError,
+        ValueError,
+        SyntaxError,
+    ) as error:
         raise TrackError(f"track: image {path} cannot be read ({' '.join(str(error).split())})") from error

@@ -74,7 +74,7 @@ def _steps(line: str) -> float:
     """Return the steps of a line, infinity for one that is torn."""
     try:
         return float(json.loads(line)["steps"])
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, RecursionError):
         return math.inf
 
 
@@ -206,7 +206,7 @@ def read_progress(run: Path) -> pd.DataFrame:
         lines = [json.loads(line) for line in read_text(path, 16 * MAX_TEXT_BYTES).splitlines() if line.strip()]
         table = pd.DataFrame(lines).apply(pd.to_numeric)
         return table.drop_duplicates("steps", keep="last").sort_values("steps")
-    except (DocumentError, ValueError, KeyError, TypeError, OverflowError) as error:
+    except (DocumentError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise RunError(f"{path}: cannot be read ({' '.join(str(error).split())}); train again") from error
 
 
