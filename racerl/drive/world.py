@@ -6,7 +6,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from racerl.assemble import Car
+from racerl.assemble import Car, build_timing
 from racerl.env.race import YAW, Race, X, Y
 from racerl.errors import ConfigError
 from racerl.evaluate.evaluate import build_evaluation_race, combine
@@ -22,6 +22,7 @@ def build(settings: Mapping[str, Any], car: Car, seed: int) -> Race:
         raise ConfigError("sim.drive = motor_current: a car without actuators has no motor; give sim.actuators=true")
     # the observation is not looked at; the smallest one is
     world = {**settings, "obs": {"name": "progress"}, "action": {"name": ACTIONS.get(sim["drive"], "speed_rate")}}
+    build_timing(settings)  # its numbers are checked there
     world = combine(world, world, car)
     world["sim"]["step"] = min(sim["step"], world["sim"]["step"])  # a motor needs its small step in any car
     race = build_evaluation_race(world, [seed], torch.device("cpu"), car.estimate)

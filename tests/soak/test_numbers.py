@@ -21,7 +21,6 @@ from racerl.errors import RacerlError
 from racerl.evaluate.evaluate import evaluate
 from racerl.evaluate.rivals import race
 from racerl.gap.diagnose import gap
-from racerl.gap.plan import plan
 from racerl.identify.identify import identify
 from racerl.optimum.optimum import optimum
 from racerl.record.record import record
@@ -55,7 +54,7 @@ COMMANDS: dict[str, tuple[list[str], Any, bool, bool]] = {
     "tune": (["controller=pure_pursuit"], tune, False, False),
     "close": (["logs=[{log}]", "real=published"], close, True, False),
     "bench": (["benchmark=sim"], bench, True, False),
-    "drive": ([], drive, False, False),
+    "drive": (["input=script"], drive, False, False),
 }
 
 
@@ -75,9 +74,9 @@ def numeric(settings: Any, where: str = ""):
     for key, value in settings.items():
         if isinstance(value, dict):
             yield from numeric(value, f"{where}{key}.")
-        elif isinstance(value, (int, float)) and not isinstance(value, bool):
-            yield where + key
-        elif isinstance(value, list) and value and all(isinstance(each, (int, float)) for each in value):
+            continue
+        numbers = value if isinstance(value, list) else [value]
+        if numbers and all(isinstance(each, (int, float)) and not isinstance(each, bool) for each in numbers):
             yield where + key
 
 
