@@ -13,7 +13,7 @@ from racerl.documents import write_text
 from racerl.report.figures.style import INK, PALETTE, PAPER, WARNING
 
 PAGE = "report.html"
-PROVENANCE = ("git_sha", "cpu", "threads", "seconds", "seed")
+PROVENANCE = ("git_sha", "cpu", "threads", "seed")  # how long it took would make each page another
 # colours of figures that a page sets itself, light or dark: variables of base.html.j2
 VARIABLES = {INK: "ink", "#ffffff": "page", PAPER: "muted", "#b0b0b0": "muted", "#dddddd": "line", WARNING: "warning"}
 VARIABLES |= {light: f"c{i}" for i, (light, _) in enumerate(PALETTE)}
