@@ -4,6 +4,7 @@ import fcntl
 import json
 import os
 import time
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
@@ -124,3 +125,40 @@ def test_json_round_trips(tmp_path_factory, content):
     write_json(path, content)
     assert read_json(path) == json.loads(json.dumps(content))
     assert documents.read_text(path).endswith("\n")
+
+
+@pytest.mark.parametrize("number", ["1e999", "9" * 400, "-1e999"])
+def test_numbers_beyond_all_computing_are_refused(tmp_path, number):
+    for read, text in ((read_json, f'{{"a": [{number}]}}'), (read_yaml, f"a: [{number}]")):
+        (tmp_path / "a").write_text(text)
+        with pytest.raises(DocumentError, match="a"):
+            read(tmp_path / "a")
+
+
+def test_a_sealed_file_is_read_as_it_was_written_or_not_at_all(tmp_path):
+    path = tmp_path / "a"
+    documents.write_sealed(path, b"content", "about")
+    assert documents.read_sealed(path, 100, "about") == b"content"
+    with pytest.raises(DocumentError, match="not what was written"):
+        documents.read_sealed(path, 100, "something else")
+    content = path.read_bytes()
+    for at in range(len(content)):
+        path.write_bytes(content[:at] + bytes([content[at] ^ 1]) + content[at + 1 :])
+        with pytest.raises(DocumentError, match="not what was written"):
+            documents.read_sealed(path, 100, "about")
+
+
+@pytest.mark.parametrize("name", ["pipe", "device", "folder", "empty", "nothing"])
+def test_only_files_with_content_are_handed_to_libraries(tmp_path, name):
+    path = tmp_path / name
+    make = {"pipe": os.mkfifo, "device": lambda p: p.symlink_to("/dev/zero"), "folder": Path.mkdir, "empty": Path.touch}
+    make.get(name, lambda p: None)(path)
+    with pytest.raises(DocumentError):
+        documents.require_content(path)
+    (tmp_path / "sound").write_text("x")
+    documents.require_content(tmp_path / "sound")
+
+
+def test_a_file_that_never_ends_is_read_to_its_size(tmp_path):
+    (tmp_path / "endless").symlink_to("/proc/self/environ")  # the kernel says that it has no bytes
+    assert documents.read_bytes(tmp_path / "endless", 100) == b""
