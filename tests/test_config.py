@@ -45,6 +45,7 @@ def test_no_file_is_left_out():
         "sweep.yaml",
         "optimum.yaml",
         "race.yaml",
+        "rerun.yaml",
         "tune.yaml",
         # composed below, each with its command
         *(
