@@ -75,7 +75,7 @@ def uncommitted() -> str | None:
     return hashlib.sha256(changes.encode()).hexdigest()[:16] if changes else None
 
 
-def _hold(path: Path) -> None:
+def _hold(path: Path, stage: str) -> None:
     """Hold a folder against other processes until this one ends or lets it go; raise RunError where one has it."""
     key = path.resolve()
     if key in _held:
@@ -85,7 +85,7 @@ def _hold(path: Path) -> None:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         os.close(handle)
-        raise RunError(f"out = {path}: another process is at work in it; wait for it, or choose another out=") from None
+        raise RunError(f"out = {path}: another {stage} is at work in it; wait for it, or choose another out=") from None
     except OSError:  # a file system without locks
         os.close(handle)
     else:
@@ -131,7 +131,7 @@ class RunFolder:
             raise RunError(f"out = {path}: is a file; give a folder")
         try:
             path.mkdir(parents=True, exist_ok=True)
-            _hold(path)
+            _hold(path, stage)
             return cls._start(path, stage, settings, identity, again, facts)
         except OSError as error:
             raise RunError(f"out = {path}: cannot be written ({error.strerror}); choose another out=") from error

@@ -38,7 +38,7 @@ def test_two_writers_are_told_apart(tmp_path):
         [sys.executable, "-c", code, str(tmp_path / "a")], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     ) as other:
         assert other.stdout.readline() == b"held\n"
-        with pytest.raises(RunError, match="another process is at work in it"):
+        with pytest.raises(RunError, match="another train is at work in it"):
             RunFolder.start(tmp_path / "a", "train", {"seed": 1})
         other.kill()  # its death lets go
         other.wait()

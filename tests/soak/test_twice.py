@@ -125,5 +125,5 @@ def test_two_writers_leave_one_result(tmp_path):
     codes = sorted(job.returncode for job in jobs)
     assert codes == [0, 2, 2], said
     refused = [errors for job, (_, errors) in zip(jobs, said, strict=True) if job.returncode]
-    told = ("another process is at work in it", "already holds this very run")
+    told = ("another train is at work in it", "already holds this very run")
     assert all(any(line in errors for line in told) for errors in refused)

@@ -103,6 +103,18 @@ def test_a_sweep_goes_on_where_the_plug_was_pulled_and_trains_shared_arms_once(p
     assert other.returncode == 2 and "already holds another sweep" in other.stderr and other.stderr.count("\n") == 1
 
 
+def test_jobs_of_a_killed_sweep_keep_their_work_and_end(place):
+    """Checkpoints are half a minute apart: this one is written since the sweep is gone."""
+    out = place / "killed"
+    first = start(place, f"out={out}", "budget.steps=2000000", "engine.jobs=1", "cars=[model]")
+    wait_for(lambda: any(log.read_text().count("\n") >= 3 for log in out.glob("jobs/*/train/progress.jsonl")))
+    assert not list(out.glob("jobs/*/train/checkpoint.safetensors"))
+    first.kill()
+    first.wait()
+    wait_for(lambda: not at_work(out), 10.0)
+    assert len(list(out.glob("jobs/*/train/checkpoint.safetensors"))) == 1
+
+
 def test_arms_of_the_same_name_and_other_words_are_jobs_of_their_own(tmp_path):
     base = read_sweeps("action_space")[0]
     arms = ({"a": ("obs=geometric",)}, {"a": ("obs=progress",)})
