@@ -14,6 +14,7 @@ import pytest
 
 from racerl.config import compose_settings
 from racerl.evaluate.evaluate import evaluate
+from racerl.gap.diagnose import gap
 from racerl.record.record import record
 from racerl.train.train import train
 
@@ -38,6 +39,17 @@ COMMANDS = {
     "sweep": ["sweep", "actuator_model", *TRAIN, "seeds=[0]", "cars=[model]"],
     "tune": ["tune", "pure_pursuit", "trials=2", "laps=1", "seeds=[0]"],
     "bench": ["bench", "policy"],
+    "drive": ["drive", "input=script", "laps=1"],
+    "gap close": [
+        "gap",
+        "close",
+        "{gap}",
+        "real={real}",
+        "train=[budget=smoke]",
+        "trainings=[0]",
+        "laps=1",
+        "seeds=[0]",
+    ],
     "rerun": ["rerun", "{trained}"],
 }
 REFINEMENT = (
@@ -74,11 +86,17 @@ def given(tmp_path_factory):
     folder = tmp_path_factory.mktemp("given")
     train(compose_settings("train", TRAIN), folder / "trained")
     evaluate(compose_settings("evaluate", [f"run={folder / 'trained'}", "laps=1", "seeds=[0]"]), folder / "raced")
-    record(compose_settings("record", ["drive=programme", "seconds=60", "vehicle=published"]), folder / "driven")
+    damped = ["+vehicle/effect=yaw_damping", "vehicle.effects.yaw_damping.coefficient=0.4"]
+    record(compose_settings("record", ["seconds=90", "vehicle=published", *damped]), folder / "driven")
+    log = folder / "driven" / "log.parquet"
+    found = gap(compose_settings("gap", [f"logs=[{log}]", "vehicle=published"]), folder / "gap")
+    assert found["verdict"] == "named"
     return {
+        "gap": folder / "gap",
+        "real": folder / "driven" / "vehicle.yaml",
         "trained": folder / "trained",
         "raced": folder / "raced",
-        "log": folder / "driven" / "log.parquet",
+        "log": log,
         "refinement": REFINEMENT,
     }
 

@@ -127,3 +127,28 @@ def test_killed_and_given_again(name, place, capsys):
             f"\n{name}: {kills} kills in {runs} runs of {seconds:.0f} s, all as undisturbed; {late:.1f} s lost at most"
         )
     assert late < PERIOD + 3.0
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+@pytest.mark.parametrize("name", list(CASES))
+def test_asked_to_stop_it_ends_soon_and_says_how_to_go_on(name, number, place, capsys):
+    words, _ = CASES[name]
+    folder, dice, longest = place / f"{name} {int(number)}".replace(" ", "_"), np.random.default_rng(SEED), 0.0
+    for _ in range(3):
+        job = start([*words, "out=run"], folder)
+        try:
+            job.wait(dice.uniform(5.0, 15.0))
+        except subprocess.TimeoutExpired:
+            os.killpg(job.pid, number) if number == signal.SIGINT else job.send_signal(number)
+        else:
+            break
+        asked = time.monotonic()
+        said = job.communicate(timeout=60)[0].decode()
+        while at_work(folder) and time.monotonic() - asked < 60.0:
+            time.sleep(0.1)
+        longest = max(longest, time.monotonic() - asked)
+        assert longest < 10.0, f"{name}: {longest:.1f} s"
+        assert "Traceback" not in said and "the same command" in said, said
+        assert job.returncode == 128 + number
+    with capsys.disabled():
+        print(f"\n{name}, {number.name}: ended after {longest:.1f} s at most")
