@@ -49,12 +49,12 @@ class Held:
         return self.number is not None
 
     def hear(self, number: int, frame: FrameType | None) -> None:
-        """Hold the first signal back, hand on the second."""
-        if self.number is not None:
+        """Hold the first signal back, hand on its second; a closing terminal may send its own twice by itself."""
+        if self.number == number and number != signal.SIGHUP:
             self._hand_on(number, frame)
-        else:
-            self.number = number
+        elif self.number is None:
             log.warning("asked to stop: keeping what is done; ask again to leave at once")
+        self.number = number
 
     def release(self) -> None:
         """Hand a signal that was held back to whom it was for, who will raise mostly."""

@@ -5,14 +5,18 @@ course every number, but the clock's. Pages, pictures and TensorBoard's files ar
 """
 
 import json
+import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+
 from racerl.choices import optional_groups, own_keys
 from racerl.data.survey import survey
 from racerl.documents import MAX_TEXT_BYTES, read_json, read_text, write_json
+from racerl.env.black_box import FILE as FAILED
 from racerl.errors import ConfigError, RunError
 from racerl.evaluate.evaluate import evaluate
 from racerl.evaluate.rivals import race
@@ -22,8 +26,11 @@ from racerl.identify.identify import identify
 from racerl.optimum.optimum import optimum
 from racerl.record.record import record
 from racerl.run import CONFIG, MANIFEST, Compose, RunFolder, is_complete
+from racerl.sweep.sweep import TRAININGS as TABLE
 from racerl.sweep.sweep import sweep
+from racerl.train.checkpoint import FILE as TRAINING
 from racerl.train.close import close
+from racerl.train.refinement import FILE as REFINING
 from racerl.train.session import PROGRESS
 from racerl.train.train import train
 from racerl.tune.tune import tune
@@ -47,7 +54,9 @@ COMPOSING = ("gap plan", "sweep", "close")  # compose the settings of other stag
 COMMANDS = {"gap plan": "gap"}  # whose keys a stage has, where they are not its own
 CLOCK = {"seconds", "training_s", "clean_after_s", "git_sha", "run", "run_id"}  # keys that no two runs share
 SKIPPED_FOLDERS = {"tensorboard", "logs", "checkpoint"}
-SKIPPED = {MANIFEST, CONFIG, "state.json", RESULT}
+SKIPPED = {MANIFEST, CONFIG, "state.json", RESULT, FAILED}
+CHECKPOINTS = (TRAINING, REFINING)  # that a run which was killed at its very end has left
+ARRIVALS = re.compile(r"to_\d+")  # seconds until a lap was so near the optimum
 SKIPPED_SUFFIXES = {".html", ".svg"}
 MACHINE = ("racerl", "git_sha", "uncommitted", "python", "libraries", "cpu", "threads", "device")
 SHOWN = 5  # differences of a document that are told
@@ -83,7 +92,11 @@ def rerun(settings: Mapping[str, Any], out: Path, compose: Compose) -> dict[str,
     path = folder.path / AGAIN / before.path.resolve().name
     if not is_complete(path):
         own = {**stored, "out": str(path)}
-        STAGES[kind](own, path, *([compose] if kind in COMPOSING else []))
+        try:
+            STAGES[kind](own, path, *([compose] if kind in COMPOSING else []))
+        except RunError:
+            if not is_complete(path):  # or it has diverged, as it may have before
+                raise
     after = RunFolder.open_complete(path, stage)
     differences = compare(before.path, path)
     facts = {
@@ -109,7 +122,8 @@ def _files(run: Path) -> Iterator[str]:
     for path in run.rglob("*"):
         inside = path.relative_to(run)
         hidden = any(part.startswith(".") for part in inside.parts)
-        skipped = path.name in SKIPPED or path.suffix in SKIPPED_SUFFIXES or SKIPPED_FOLDERS & set(inside.parts)
+        skipped = path.name in SKIPPED or path.suffix in SKIPPED_SUFFIXES or path.name.endswith(CHECKPOINTS)
+        skipped = skipped or not SKIPPED_FOLDERS.isdisjoint(inside.parts)
         if path.is_file() and not path.is_symlink() and not hidden and not skipped:
             yield str(inside)
 
@@ -125,6 +139,9 @@ def _differences(before: Path, after: Path, files: list[str]) -> Iterator[Differ
                 yield Difference(
                     file, "; ".join(told[:SHOWN]) + (f" and {len(told) - SHOWN} more" * (len(told) > SHOWN))
                 )
+        elif one.name == TABLE:
+            if not _timeless(one).equals(_timeless(other)):
+                yield Difference(file, "other numbers")
         elif one.name == PROGRESS:
             if (line := _first_unlike(_course(one), _course(other))) is not None:
                 yield Difference(file, f"from line {line + 1} on")
@@ -138,6 +155,8 @@ def _unlike(one: Any, other: Any, where: str = "") -> Iterator[tuple[str, Any, A
     """Yield the places where two documents differ, with both values."""
     if isinstance(one, dict) and isinstance(other, dict):
         for key in sorted(({*one} | {*other}) - CLOCK):
+            if ARRIVALS.fullmatch(key):
+                continue
             yield from _unlike(one.get(key), other.get(key), f"{where}.{key}".lstrip("."))
     elif isinstance(one, list) and isinstance(other, list) and len(one) == len(other):
         for i, (a, b) in enumerate(zip(one, other, strict=True)):
@@ -146,9 +165,18 @@ def _unlike(one: Any, other: Any, where: str = "") -> Iterator[tuple[str, Any, A
         yield where, one, other
 
 
+def _timeless(path: Path) -> pd.DataFrame:
+    """Return a sweep's table of trainings without what the clock says."""
+    table = pd.read_csv(path)
+    return table[[name for name in table if name not in CLOCK and not ARRIVALS.fullmatch(str(name))]]
+
+
 def _course(path: Path) -> list[dict[str, Any]]:
     """Return the lines of a training's course without what the clock says."""
-    lines = [json.loads(line) for line in read_text(path, 16 * MAX_TEXT_BYTES).splitlines()]
+    try:
+        lines = [json.loads(line) for line in read_text(path, 16 * MAX_TEXT_BYTES).splitlines()]
+    except (ValueError, RecursionError) as error:
+        raise RunError(f"{path}: cannot be read ({error}); there is nothing to compare with") from error
     return [{key: value for key, value in line.items() if not key.startswith("time/")} for line in lines]
 
 

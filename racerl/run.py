@@ -5,13 +5,14 @@ the seed, versions, threads, CPU, git sha and a hash of what is not committed. A
 or that another process is at work in, is never written into.
 """
 
-import contextlib
 import fcntl
 import hashlib
 import json
+import logging
 import os
 import platform
 import subprocess
+import weakref
 from collections.abc import Callable, Mapping, Sequence
 from contextvars import ContextVar
 from datetime import UTC, datetime
@@ -27,8 +28,9 @@ FORMAT = 1
 MANIFEST, CONFIG = "manifest.json", "config.yaml"
 MAX_DEPTH = 3  # folders below outputs/<stage>
 WORDS: ContextVar[Sequence[str] | None] = ContextVar("words", default=None)  # of the user, on the command line
-_held: dict[Path, int] = {}  # folders that this process is at work in, and what holds them
+LOCK = ".lock"
 Compose = Callable[[str, Sequence[str]], dict[str, Any]]  # settings of another stage, from its name and overrides
+log = logging.getLogger(__name__)
 LIBRARIES = ("torch", "stable-baselines3", "numpy", "casadi")
 
 
@@ -75,26 +77,41 @@ def uncommitted() -> str | None:
     return hashlib.sha256(changes.encode()).hexdigest()[:16] if changes else None
 
 
-def _hold(path: Path, stage: str) -> None:
-    """Hold a folder against other processes until this one ends or lets it go; raise RunError where one has it."""
-    key = path.resolve()
-    if key in _held:
-        return
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(handle)
-        raise RunError(f"out = {path}: another {stage} is at work in it; wait for it, or choose another out=") from None
-    except OSError:  # a file system without locks
-        os.close(handle)
-    else:
-        _held[key] = handle
+class _Hold:
+    """Holds a folder against other processes, until nobody in this one holds it any more."""
+
+    def __init__(self, path: Path, stage: str) -> None:
+        self.file = (path / LOCK).open("a")
+        try:
+            fcntl.flock(self.file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            line = f"out = {path}: another {stage} is at work in it; wait for it, or choose another out="
+            raise RunError(line) from None
+        except OSError:  # a file system without locks
+            log.info("%s: cannot be held against other processes here", path)
+
+    def here(self, path: Path) -> bool:
+        """Return whether it is this folder that is held, and not one of the same name that was removed."""
+        try:
+            return os.path.samestat(os.fstat(self.file.fileno()), (path / LOCK).stat())
+        except OSError:
+            return False
+
+    def remove(self, path: Path) -> None:
+        """Remove the file that a folder is held by, which is nobody else's."""
+        if self.here(path):
+            (path / LOCK).unlink(missing_ok=True)
+
+    @classmethod
+    def of(cls, path: Path, stage: str) -> "_Hold":
+        """Return what this process holds a folder by; raise RunError where another process does."""
+        held = _holds.get(path.resolve())
+        if held is None or not held.here(path):
+            held = _holds[path.resolve()] = cls(path, stage)
+        return held
 
 
-def _let_go(path: Path) -> None:
-    with contextlib.suppress(KeyError):
-        os.close(_held.pop(path.resolve()))
+_holds: weakref.WeakValueDictionary[Path, _Hold] = weakref.WeakValueDictionary()
 
 
 def _git(root: Path, *arguments: str) -> str:
@@ -114,9 +131,10 @@ def cpu_name() -> str:
 class RunFolder:
     """One stage's results; created by `start` or opened by `open_complete`."""
 
-    def __init__(self, path: Path, manifest: dict[str, Any]) -> None:
+    def __init__(self, path: Path, manifest: dict[str, Any], hold: _Hold | None = None) -> None:
         self.path = path
         self.manifest = manifest
+        self._hold = hold  # let go with this object, whatever becomes of the stage
 
     @classmethod
     def start(
@@ -131,8 +149,15 @@ class RunFolder:
             raise RunError(f"out = {path}: is a file; give a folder")
         try:
             path.mkdir(parents=True, exist_ok=True)
-            _hold(path, stage)
-            return cls._start(path, stage, settings, identity, again, facts)
+            began = path.resolve() not in _holds
+            hold = _Hold.of(path, stage)
+            try:
+                folder = cls._start(path, stage, settings, identity, again, facts)
+            except BaseException:
+                if began:
+                    hold.remove(path)
+                raise
+            return cls(path, folder.manifest, hold)
         except OSError as error:
             raise RunError(f"out = {path}: cannot be written ({error.strerror}); choose another out=") from error
 
@@ -152,7 +177,7 @@ class RunFolder:
             if not (path / CONFIG).is_file():  # killed before it was written
                 write_yaml(path / CONFIG, settings)
             return folder
-        if any(not each.name.startswith(f".{MANIFEST}.") for each in path.iterdir()):
+        if any(each.name != LOCK and not each.name.startswith(f".{MANIFEST}.") for each in path.iterdir()):
             raise RunError(f"out = {path}: is not empty and holds no racerl run; choose another out=")
         manifest = {
             "format": FORMAT,
@@ -212,7 +237,9 @@ class RunFolder:
         finished = datetime.now(UTC).isoformat(timespec="seconds")
         self.manifest = {**self.manifest, "status": "complete", "finished": finished, **facts}
         write_json(self.path / MANIFEST, self.manifest)
-        _let_go(self.path)
+        if self._hold is not None:
+            self._hold.remove(self.path)
+            self._hold = None
 
 
 def is_complete(path: Path) -> bool:

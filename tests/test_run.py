@@ -1,6 +1,8 @@
 """Run folders: who may write where, and which may be read."""
 
+import gc
 import json
+import shutil
 import subprocess
 import sys
 
@@ -32,7 +34,7 @@ def test_an_interrupted_run_of_the_same_settings_is_continued(tmp_path):
 def test_two_writers_are_told_apart(tmp_path):
     code = (
         "import sys; from pathlib import Path; from racerl.run import RunFolder;"
-        "RunFolder.start(Path(sys.argv[1]), 'train', {'seed': 1}); print('held', flush=True); sys.stdin.read()"
+        "run = RunFolder.start(Path(sys.argv[1]), 'train', {'seed': 1}); print('held', flush=True); sys.stdin.read()"
     )
     with subprocess.Popen(
         [sys.executable, "-c", code, str(tmp_path / "a")], stdin=subprocess.PIPE, stdout=subprocess.PIPE
@@ -43,6 +45,41 @@ def test_two_writers_are_told_apart(tmp_path):
         other.kill()  # its death lets go
         other.wait()
         RunFolder.start(tmp_path / "a", "train", {"seed": 1}).finish()
+
+
+def test_a_folder_is_let_go_with_the_stage_that_failed_in_it(tmp_path):
+    code = "import sys; from pathlib import Path; from racerl.run import RunFolder;"
+    code += "RunFolder.start(Path(sys.argv[1]), 'train', {'seed': 1})"
+
+    def elsewhere():
+        done = subprocess.run([sys.executable, "-c", code, str(tmp_path / "a")], capture_output=True, text=True)
+        return "another train is at work" in done.stderr
+
+    def fails():
+        folder = RunFolder.start(tmp_path / "a", "train", {"seed": 1})
+        assert elsewhere() and folder
+        raise ValueError
+
+    with pytest.raises(ValueError):
+        fails()
+    gc.collect()
+    assert not elsewhere()
+
+
+def test_a_folder_that_was_removed_and_made_anew_is_held_anew(tmp_path):
+    first = RunFolder.start(tmp_path / "a", "train", {"seed": 1})
+    shutil.rmtree(tmp_path / "a")
+    second = RunFolder.start(tmp_path / "a", "train", {"seed": 1})
+    assert first.manifest["run_id"] != second.manifest["run_id"] and (tmp_path / "a" / ".lock").is_file()
+    second.finish()
+    assert not (tmp_path / "a" / ".lock").exists()
+
+
+def test_a_folder_that_is_refused_is_left_as_it_was(tmp_path):
+    (tmp_path / "precious.txt").write_text("mine")
+    with pytest.raises(RunError, match="not empty"):
+        RunFolder.start(tmp_path, "train", {"seed": 1})
+    assert [path.name for path in tmp_path.iterdir()] == ["precious.txt"]
 
 
 def test_a_run_that_was_killed_while_its_manifest_was_written_begins_anew(tmp_path):

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from racerl.documents import write_parquet
+from racerl.errors import RunError
 
 if TYPE_CHECKING:
     from racerl.env.race import Race
@@ -27,14 +28,16 @@ PARAMETER = "parameter."  # in front of the names of drawn parameters
 class BlackBox:
     """Remembers the last steps of N cars with states (S, N) of these names."""
 
-    def __init__(self, names: Sequence[str], state: Tensor) -> None:
+    def __init__(self, names: Sequence[str]) -> None:
         self.names = names
         self.failures: list[pd.DataFrame] = []
-        self._tape = state.new_zeros(LENGTH, len(names) + len(COMMANDS), state.shape[1])
+        self._tape = torch.empty(0)  # until the first step: a GPU's race takes no notes
         self._steps = 0
 
     def note(self, state: Tensor, command: Tensor, age: Tensor) -> None:
         """Remember states (S, N) and commands (2, N) of the step that comes, of cars in their episodes' steps (N,)."""
+        if not self._steps:
+            self._tape = state.new_zeros(LENGTH, len(state) + len(command), state.shape[1])
         self._age = age
         row = self._tape[self._steps % LENGTH]
         row[: len(state)], row[len(state) :] = state, command
@@ -50,9 +53,16 @@ class BlackBox:
             self.failures.append(table.assign(car=car, step=range(1 - count, 1), **drawn))
 
 
-def write_failures(folder: Path, races: Iterable["Race"]) -> None:
-    """Write the failures in some races into a run's folder; nothing where there was none."""
-    failures = [failure for race in races for failure in race.box.failures]
+def read_failures(folder: Path) -> list[pd.DataFrame]:
+    """Return the failures that a run's folder holds."""
+    if not (folder / FILE).is_file():
+        return []
+    return [table for _, table in pd.read_parquet(folder / FILE).groupby("failure")]
+
+
+def write_failures(folder: Path, races: Iterable["Race"], earlier: Sequence[pd.DataFrame] = ()) -> None:
+    """Write the failures in some races into a run's folder, behind earlier ones; nothing where there was none."""
+    failures = [*earlier, *(failure for race in races for failure in race.box.failures)]
     if failures:
         tables = [table.assign(failure=number) for number, table in enumerate(failures)]
         write_parquet(folder / FILE, pd.concat(tables, ignore_index=True))
@@ -61,9 +71,15 @@ def write_failures(folder: Path, races: Iterable["Race"]) -> None:
 def replay(race: "Race", failure: pd.DataFrame) -> Tensor:
     """Drive a failure again in a race of one car; return the states (K, S) from its first row to what came of its last.
 
-    Where commands act late it begins behind the rows whose commands still act in the first step.
+    Where commands act late it begins behind the rows whose commands still act in the first step; RunError where there
+    are no more. Parameters are those of the end: where they change from lap to lap (`dr.each_lap`), rows of the lap
+    before come out otherwise.
     """
     names, late = list(race.vehicle.states), max(0, len(race.history) - 1)
+    if len(failure) <= late:
+        raise RunError(
+            f"a failure of {len(failure)} steps: commands act up to {late} late, so it cannot be driven again"
+        )
     rows = torch.tensor(failure[[*names, *COMMANDS]].to_numpy(), dtype=race.dtype, device=race.device)
     drawn = [float(failure[f"{PARAMETER}{name}"].iloc[0]) for name in race.draws.names]
     race.draws.values = race.constant(drawn)[:, None]

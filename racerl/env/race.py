@@ -167,7 +167,7 @@ class Race(Rows):
         zeros = torch.zeros(self.count, device=self.device, dtype=self.dtype)
         self.state = torch.zeros(len(self.vehicle.states), self.count, device=self.device, dtype=self.dtype)
         self.command = torch.zeros(2, self.count, device=self.device, dtype=self.dtype)
-        self.box = BlackBox(self.vehicle.states, self.state)
+        self.box = BlackBox(self.vehicle.states)
         # the latest commands, newest first, as far as any acts late
         self.history = torch.zeros(late + 1 if late else 0, 2, self.count, device=self.device, dtype=self.dtype)
         # what sensors showed, newest first, where they do not show the truth at once

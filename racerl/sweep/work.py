@@ -21,7 +21,7 @@ from racerl.record.record import record
 from racerl.run import is_complete
 from racerl.sweep.jobs import Job, Race
 from racerl.train.session import Progress
-from racerl.train.train import train
+from racerl.train.train import require_sound, train
 
 STATE, LOCK = "state.json", ".lock"
 TRAINING = 0.95  # share of a job
@@ -38,8 +38,8 @@ def work(
     """
     job = Job(name, Path(path), settings, races)
     os.setpgid(0, 0)
-    listen()
-    if owner:
+    if owner:  # else a cluster's own signals tell what to do
+        listen()
         threading.Thread(target=_end_with, args=(Path(owner),), daemon=True).start()
     job.path.mkdir(parents=True, exist_ok=True)
     with (job.path / LOCK).open("w") as lock:
@@ -66,6 +66,8 @@ def _finish(job: Job) -> None:
 
     if job.train is not None and not is_complete(job.trained):
         train(job.train, job.trained, training)
+    if job.train is not None:
+        require_sound(job.trained)
     before = 0.0 if job.train is None else TRAINING
     each = (1.0 - before) / len(job.races)
 

@@ -23,7 +23,7 @@ FILE = "checkpoint.safetensors"
 BEFORE = "before."  # in front of the name of the one before
 MOST_BYTES = 2**34
 STATE = "state"  # name of the plain data among the tensors
-DAMAGED = (DocumentError, SafetensorError, KeyError, TypeError, ValueError, RuntimeError, IndexError)
+UNFIT = (SafetensorError, KeyError, TypeError, ValueError, RuntimeError, IndexError)
 COUNTERS = ("num_timesteps", "_n_updates", "_current_progress_remaining", "rate_factor")
 Tensors = dict[str, Tensor]
 State = dict[str, Any]
@@ -43,21 +43,29 @@ def keep(path: Path, tensors: Tensors, state: State) -> None:
 def recover(path: Path, put: Callable[[Tensors, State], None]) -> State | None:
     """Give the newest checkpoint that is whole to `put`, and return its plain data; None where there is none.
 
-    Warns of a damaged one; raises RunError where no other is there.
+    Warns of a damaged one, and removes it where there is another; raises RunError where there is none, or where it is
+    whole and cannot be put here.
     """
     damage = ""
     for each in (path, _before(path)):
         if not each.is_file():
             continue
         try:
-            tensors = load(read_sealed(each, MOST_BYTES))
+            content = read_sealed(each, MOST_BYTES)
+        except DocumentError as error:
+            damage = f"{each}: is damaged ({error})"
+            log.warning("%s; looking for the one before", damage)
+            continue
+        try:
+            tensors = load(content)
             state: State = json.loads(tensors.pop(STATE).numpy().tobytes())
             put(tensors, state)
-        except DAMAGED as error:
-            damage = f"{each}: is damaged ({' '.join(str(error).split())})"
-            log.warning("%s; looking for the one before", damage)
-        else:
-            return state
+        except UNFIT as error:
+            told = " ".join(str(error).split())
+            raise RunError(f"{each}: cannot be continued here ({told}); go on with the racerl that began it") from error
+        if damage:
+            path.unlink()  # or it would take the place of the one that is whole
+        return state
     if damage:
         raise RunError(f"{damage}; remove the run folder and train again")
     return None
@@ -82,7 +90,7 @@ def tensors_of(model: RacePPO) -> Tensors:
 
 
 def put_into(model: RacePPO, tensors: Tensors, state: State) -> None:
-    """Put a model into the state of a checkpoint; raise one of `DAMAGED` where it is another's."""
+    """Put a model into the state of a checkpoint; raise one of `UNFIT` where it is another's."""
     model.policy.load_state_dict(section(tensors, "policy."))
     load_optimizer(model.policy.optimizer, section(tensors, "optimizer."))
     model.race.restore(section(tensors, "race."))

@@ -22,7 +22,7 @@ from racerl.evaluate.outcome import METRICS
 from racerl.gap.diagnose import MODEL, MODEL_BEFORE, VERDICT, gap
 from racerl.run import Compose, RunFolder, is_complete
 from racerl.train.onward import train_onward
-from racerl.train.train import train
+from racerl.train.train import require_sound, train
 from racerl.vehicle.load import load_vehicle
 
 RESULT = "close.json"
@@ -79,6 +79,7 @@ def close(
                 train_onward(compose("refine", [before, *own, *onward, f"threads={settings['threads']}"]), trained)
             else:
                 train(compose("train", [*words, *own]), trained)
+        require_sound(trained)
         on_progress((i + 0.7) / len(jobs), f"{kind}, seed {seed}: racing")
         if not is_complete(raced):
             race = [f"run={trained}", f"vehicle={settings['real']}", f"laps={settings['laps']}"]

@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from racerl.assemble import build_race, unlimited
 from racerl.control.policy import Policy, save_policy
 from racerl.documents import MAX_TEXT_BYTES, read_text, write_text
+from racerl.env.black_box import read_failures, write_failures
 from racerl.env.race import Race
 from racerl.env.termination import Crash
 from racerl.errors import Diverged, DocumentError, RunError
@@ -119,6 +120,7 @@ class Session:
         self.seed: int = settings["seed"]
         self.examiner = Examiner(settings, device)
         self.races: list[Race] = [self.examiner.race]  # all that is driven in
+        self.failures: list[pd.DataFrame] = []  # of cars, before the run was resumed
         self.best: dict[str, Any] | None = None
         self.last: dict[str, Any] = {}
         self.earlier_seconds = 0.0  # of the run before it was resumed
@@ -128,6 +130,7 @@ class Session:
         """Create the run folder, or continue in it; the clock starts."""
         facts = {"seed": self.seed, "threads": self.settings["threads"], "device": str(self.device)}
         self.folder = RunFolder.start(self.out, "train", self.settings, **facts)
+        self.failures = read_failures(self.folder.path)
         tensorboard = TensorBoardOutputFormat(str(self.folder.path / "tensorboard"))
         self.lines = JsonLines(self.folder.path / PROGRESS)
         self.logger = Logger(None, [tensorboard, self.lines])
@@ -146,10 +149,15 @@ class Session:
                 nonlocal saved
                 if asked or time.perf_counter() - saved > CHECKPOINT_PERIOD:
                     keep()
+                    self.keep_failures()
                     saved = time.perf_counter()
                 asked.release()
 
             yield between
+
+    def keep_failures(self) -> None:
+        """Write what led to the failures of cars so far, if any failed."""
+        write_failures(self.folder.path, self.races, self.failures)
 
     def facts(self) -> dict[str, Any]:
         """Return what a checkpoint keeps of the session; what was recorded since the last line of the log, too."""
@@ -197,7 +205,7 @@ def require_finite(networks: Mapping[str, Iterable[Tensor]], steps: int, remedy:
 
 
 def read_progress(run: Path) -> pd.DataFrame:
-    """Return what a training logged; of a step that a resumed run wrote twice, the last line counts.
+    """Return what a training logged, a row for every step; of a number that was written twice, the last counts.
 
     Raises RunError for a file that is missing or damaged.
     """
@@ -205,7 +213,7 @@ def read_progress(run: Path) -> pd.DataFrame:
     try:
         lines = [json.loads(line) for line in read_text(path, 16 * MAX_TEXT_BYTES).splitlines() if line.strip()]
         table = pd.DataFrame(lines).apply(pd.to_numeric)
-        return table.drop_duplicates("steps", keep="last").sort_values("steps")
+        return table.groupby("steps", as_index=False).last()  # of each number that stands in several lines
     except (DocumentError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise RunError(f"{path}: cannot be read ({' '.join(str(error).split())}); train again") from error
 

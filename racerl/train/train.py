@@ -13,9 +13,9 @@ from racerl import bounds
 from racerl.assemble import check_settings, choose_device, use_threads
 from racerl.control.policy import FACTS, load_policy, save_policy
 from racerl.documents import read_json
-from racerl.env.black_box import write_failures
 from racerl.errors import ConfigError, Diverged, RunError
 from racerl.registry import construct
+from racerl.run import RunFolder
 from racerl.train.algorithms import Algorithm, create_algorithm
 from racerl.train.checkpoint import FILE as TRAINING
 from racerl.train.checkpoint import discard
@@ -46,17 +46,24 @@ def train(
     except Diverged as error:
         if session.best is None:
             raise RunError(f"training {error}; no policy was examined before") from error
-        facts = {"steps": session.best["steps"], "nan_cars": 0, "diverged": str(error)}
+        facts = {"steps": session.best["steps"], "nan_cars": sum(race.faults for race in session.races)}
+        facts["diverged"] = str(error)
         _finish(session, facts)
         raise RunError(f"training {error}; the best policy from before is kept in {out}") from error
     _finish(session, facts)
     return facts
 
 
+def require_sound(run: Path) -> None:
+    """Raise RunError for a finished training that has diverged, whose best policy is no result to compare with."""
+    if diverged := RunFolder.open_complete(run, "train").manifest.get("diverged"):
+        raise RunError(f"{run}: the training {diverged}")
+
+
 def _finish(session: Session, facts: dict[str, Any]) -> None:
     """Mark the run complete; add to the facts what the session knows."""
     facts |= {"seconds": round(session.seconds, 1), "best": session.best}
-    write_failures(session.out, session.races)
+    session.keep_failures()
     session.folder.finish(**facts)
     for name in (TRAINING, REFINING):  # only now: a run that is killed before goes on from them
         discard(session.out / name)
@@ -81,6 +88,7 @@ def _refined(session: Session, algorithm: Algorithm, refinement: Refinement) -> 
         session.earlier_seconds = began
     else:
         learned, began = algorithm.train(session), session.seconds
-        session.logger.dump(learned["steps"])
+        if session.logger.name_to_value:
+            session.logger.dump(learned["steps"])
         save_policy(load_policy(session.out), before, evaluation=session.best, learned=learned, seconds=began)
     return learned | refine(session, refinement, load_policy(before, session.device), learned["steps"], began)

@@ -6,8 +6,9 @@ import torch
 
 from racerl.assemble import build_race
 from racerl.config import compose_settings
-from racerl.env.black_box import FILE, LENGTH, MOST, replay, write_failures
+from racerl.env.black_box import FILE, LENGTH, MOST, read_failures, replay, write_failures
 from racerl.env.race import LARGEST, YAW
+from racerl.errors import RunError
 
 WORDS = {
     "plain": [],
@@ -45,6 +46,21 @@ def test_a_failure_can_be_driven_again(words, turn, tmp_path):
     told = torch.as_tensor(failure[list(race.vehicle.states)].to_numpy())
     assert torch.equal(states[:-1], told[len(told) - len(states) + 1 :])
     assert bool((states[:-1].abs() < LARGEST).all()) and not bool((states[-1].abs() < LARGEST).all())  # fails again
+
+
+def test_failures_of_before_an_interruption_stay(tmp_path):
+    race, _ = spun([], 0.5)
+    write_failures(tmp_path, [race])
+    write_failures(tmp_path, [race], read_failures(tmp_path))
+    one, other = read_failures(tmp_path)
+    assert one.drop(columns="failure").equals(other.drop(columns="failure").set_axis(one.index))
+    assert one["failure"].unique().tolist() == [0] and other["failure"].unique().tolist() == [1]
+
+
+def test_one_too_short_for_commands_that_act_late_is_a_line():
+    race, settings = spun(WORDS["late"], 10.0)
+    with pytest.raises(RunError, match="act up to"):
+        replay(build_race(settings, cars=1, seeds=[9]), race.box.failures[0].iloc[-1:])
 
 
 def test_only_the_first_failures_are_kept():

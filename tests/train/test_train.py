@@ -142,8 +142,11 @@ def test_a_run_goes_on_from_the_checkpoint_before_a_damaged_one(smoke_run, tmp_p
     content[len(content) // 2] ^= 1  # one bit
     newest.write_bytes(content)
     assert before.is_file()
-    train(settings, out)
+    with pytest.raises(Plug):
+        train(settings, out, pull_at(1024))
     assert "damaged" in caplog.text
+    assert not before.exists() or before.read_bytes() != bytes(content)  # it has not taken the place of a whole one
+    train(settings, out)
     assert (out / "policy.safetensors").read_bytes() == (smoke_run / "policy.safetensors").read_bytes()
 
 

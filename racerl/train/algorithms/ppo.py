@@ -12,7 +12,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from racerl.control.policy import Policy
 from racerl.errors import Diverged
 from racerl.train.checkpoint import FILE, counters, keep, put_into, recover, tensors_of
-from racerl.train.ppo import Budget, RacePPO, actor_of
+from racerl.train.ppo import Budget, RacePPO
 from racerl.train.session import Progress, Session, policy_of, require_finite
 
 
@@ -67,10 +67,10 @@ class Trainer(BaseCallback):
     def check(self) -> None:
         """Remember the policy as it is if all weights are finite; raise Diverged otherwise."""
         model = self.model
-        networks = {"actor": actor_of(model).parameters(), "critic": model.policy.parameters()}
+        policy = policy_of(copy.deepcopy(model.actor()), model.race, self.session.settings)
+        networks = {"actor": policy.network.parameters(), "critic": model.policy.parameters()}
         require_finite(networks, model.num_timesteps, "lower budget.learning_rate or budget.gradient_norm")
-        self.good = policy_of(copy.deepcopy(model.actor()), model.race, self.session.settings)
-        self.good_steps = model.num_timesteps
+        self.good, self.good_steps = policy, model.num_timesteps
 
     def _on_rollout_start(self) -> None:
         self.check()
