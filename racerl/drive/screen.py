@@ -5,6 +5,7 @@ grip, red from the slip at which the published tyres grip most.
 """
 
 import math
+import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from types import TracebackType
@@ -80,6 +81,8 @@ class Screen:
         self._wheelbase, self._arm = float(vehicle.wheelbase), float(vehicle.arm)
 
     def __enter__(self) -> "Screen":
+        # a flat picture needs no GPU, whose driver keeps a cache that kills the process on a full disk
+        os.environ.setdefault("SDL_FRAMEBUFFER_ACCELERATION", "0")
         try:
             pygame.display.init()
             pygame.font.init()
