@@ -41,6 +41,7 @@ CASES = {  # words, and how many kills
     "sweep": (["sweep", "actuator_model", *PPO, "budget.steps=20000", "seeds=[0]", "cars=[model]", "threads=1"], 20),
     "gap": (["gap", "../log.parquet", "vehicle=published", "threads=1"], 20),
     "identify": (["identify", "../log.parquet", "starts=1", "folds=2", "threads=1"], 15),
+    "evaluate": (["evaluate", "../trained", "laps=20", "car=twin"], 12),
     "record": (["record", "seconds=300", "vehicle=published", "drive=race"], 20),
 }
 LOG = ["record", "drive=programme", "seconds=90", "vehicle=published", "out=recorded", "+vehicle/effect=yaw_damping"]
@@ -50,10 +51,11 @@ SEED = 20261126
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
-    """Return a folder with a log in it."""
+    """Return a folder with a log and a training in it."""
     folder = tmp_path_factory.mktemp("kills")
     finish(LOG, folder)
     (folder / "recorded" / "log.parquet").rename(folder / "log.parquet")
+    finish(["train", *PPO, "out=trained"], folder)
     return folder
 
 
