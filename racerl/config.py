@@ -82,7 +82,7 @@ def run_command(
     overrides = _rewrite(command, arguments, positional)
 
     failures: list[Exception] = []
-    WORDS.set(tuple(arguments))
+    token = WORDS.set(tuple(arguments))
 
     def job(config: DictConfig) -> None:
         out = _shortest(Path(HydraConfig.get().runtime.output_dir))
@@ -103,6 +103,8 @@ def run_command(
         hydra_main(str(conf_folder()), command, VERSION_BASE)(job)()
     except (HydraException, OmegaConfBaseException, ValueError) as error:  # ValueError: options that exclude each other
         raise _translate(command, error) from error
+    finally:
+        WORDS.reset(token)
     if failures:
         raise failures[0]
 

@@ -140,7 +140,7 @@ def require_content(path: Path) -> None:
     if not stat.S_ISREG(facts.st_mode):
         raise DocumentError(f"{path}: is a pipe, a device or a folder; give a file")
     if not facts.st_size:  # as the kernel's own files look, which may never end
-        raise DocumentError(f"{path}: is empty; give a file with something in it")
+        raise DocumentError(f"{path}: cannot be read (it is empty); give a file with something in it")
 
 
 def read_bytes(path: Path, limit: int) -> bytes:

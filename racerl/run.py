@@ -81,32 +81,42 @@ class _Hold:
     """Holds a folder against other processes, until nobody in this one holds it any more."""
 
     def __init__(self, path: Path, stage: str) -> None:
-        self.file = (path / LOCK).open("a")
-        try:
-            fcntl.flock(self.file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            line = f"out = {path}: another {stage} is at work in it; wait for it, or choose another out="
-            raise RunError(line) from None
-        except OSError:  # a file system without locks
-            log.info("%s: cannot be held against other processes here", path)
+        self.handle = -1
+        for self.what, flags in ((path, os.O_RDONLY), (path / LOCK, os.O_RDWR | os.O_CREAT)):  # NFS locks no folders
+            self.handle = os.open(self.what, flags, 0o644)
+            try:
+                fcntl.flock(self.handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                line = f"out = {path}: another {stage} is at work in it; wait for it, or choose another out="
+                raise RunError(line) from None
+            except OSError:
+                os.close(self.handle)
+                self.handle = -1
+            else:
+                return
+        log.info("%s: cannot be held against other processes here", path)
 
-    def here(self, path: Path) -> bool:
-        """Return whether it is this folder that is held, and not one of the same name that was removed."""
+    def __del__(self) -> None:
+        if self.handle >= 0:
+            os.close(self.handle)
+
+    def here(self) -> bool:
+        """Return whether what is held is still there, and not another of the same name."""
         try:
-            return os.path.samestat(os.fstat(self.file.fileno()), (path / LOCK).stat())
+            return os.path.samestat(os.fstat(self.handle), self.what.stat())
         except OSError:
             return False
 
-    def remove(self, path: Path) -> None:
-        """Remove the file that a folder is held by, which is nobody else's."""
-        if self.here(path):
-            (path / LOCK).unlink(missing_ok=True)
+    def remove(self) -> None:
+        """Remove the file that a folder is held by, where that is one."""
+        if self.what.name == LOCK and self.here():
+            self.what.unlink(missing_ok=True)
 
     @classmethod
     def of(cls, path: Path, stage: str) -> "_Hold":
         """Return what this process holds a folder by; raise RunError where another process does."""
         held = _holds.get(path.resolve())
-        if held is None or not held.here(path):
+        if held is None or not held.here():
             held = _holds[path.resolve()] = cls(path, stage)
         return held
 
@@ -155,7 +165,7 @@ class RunFolder:
                 folder = cls._start(path, stage, settings, identity, again, facts)
             except BaseException:
                 if began:
-                    hold.remove(path)
+                    hold.remove()
                 raise
             return cls(path, folder.manifest, hold)
         except OSError as error:
@@ -238,7 +248,7 @@ class RunFolder:
         self.manifest = {**self.manifest, "status": "complete", "finished": finished, **facts}
         write_json(self.path / MANIFEST, self.manifest)
         if self._hold is not None:
-            self._hold.remove(self.path)
+            self._hold.remove()
             self._hold = None
 
 

@@ -1,8 +1,12 @@
 """Run folders: who may write where, and which may be read."""
 
+import errno
+import fcntl
 import gc
 import json
+import os
 import shutil
+import stat
 import subprocess
 import sys
 
@@ -47,32 +51,49 @@ def test_two_writers_are_told_apart(tmp_path):
         RunFolder.start(tmp_path / "a", "train", {"seed": 1}).finish()
 
 
-def test_a_folder_is_let_go_with_the_stage_that_failed_in_it(tmp_path):
+def held_elsewhere(path):
+    """Return whether another process is told that this one is at work."""
     code = "import sys; from pathlib import Path; from racerl.run import RunFolder;"
     code += "RunFolder.start(Path(sys.argv[1]), 'train', {'seed': 1})"
+    done = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True)
+    return "another train is at work" in done.stderr
 
-    def elsewhere():
-        done = subprocess.run([sys.executable, "-c", code, str(tmp_path / "a")], capture_output=True, text=True)
-        return "another train is at work" in done.stderr
 
+def test_a_folder_is_let_go_with_the_stage_that_failed_in_it(tmp_path):
     def fails():
         folder = RunFolder.start(tmp_path / "a", "train", {"seed": 1})
-        assert elsewhere() and folder
+        assert held_elsewhere(tmp_path / "a") and folder
         raise ValueError
 
     with pytest.raises(ValueError):
         fails()
     gc.collect()
-    assert not elsewhere()
+    assert not held_elsewhere(tmp_path / "a")
 
 
 def test_a_folder_that_was_removed_and_made_anew_is_held_anew(tmp_path):
     first = RunFolder.start(tmp_path / "a", "train", {"seed": 1})
     shutil.rmtree(tmp_path / "a")
     second = RunFolder.start(tmp_path / "a", "train", {"seed": 1})
-    assert first.manifest["run_id"] != second.manifest["run_id"] and (tmp_path / "a" / ".lock").is_file()
+    assert first.manifest["run_id"] != second.manifest["run_id"]
+    assert held_elsewhere(tmp_path / "a")
     second.finish()
-    assert not (tmp_path / "a" / ".lock").exists()
+
+
+def test_where_no_folder_can_be_locked_a_file_is(tmp_path, monkeypatch):
+    lock = fcntl.flock
+
+    def as_on_nfs(handle, how):
+        if stat.S_ISDIR(os.fstat(handle if isinstance(handle, int) else handle.fileno()).st_mode):
+            raise OSError(errno.EBADF, "Bad file descriptor")
+        lock(handle, how)
+
+    monkeypatch.setattr(fcntl, "flock", as_on_nfs)
+    folder = RunFolder.start(tmp_path / "a", "train", {"seed": 1})
+    with (tmp_path / "a" / ".lock").open("a") as other, pytest.raises(BlockingIOError):
+        lock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    folder.finish()
+    assert {path.name for path in (tmp_path / "a").iterdir()} == {"manifest.json", "config.yaml"}
 
 
 def test_a_folder_that_is_refused_is_left_as_it_was(tmp_path):
