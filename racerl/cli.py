@@ -4,6 +4,7 @@ import logging
 import math
 import re
 import shlex
+import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -16,7 +17,7 @@ import typer
 from racerl import __version__, completion
 from racerl.choices import choices, own_keys
 from racerl.errors import ConfigError, RacerlError, RunError, refused
-from racerl.interruption import Terminated, listen
+from racerl.interruption import Terminated, behind, listen
 
 if TYPE_CHECKING:
     from racerl.config import Settings
@@ -312,8 +313,9 @@ def _continued(console: Any, out: Path, how: str = "continues") -> Iterator[None
     """Say how to go on when asked to stop."""
     try:
         yield
-    except KeyboardInterrupt:
-        console.print(f"interrupted; the same command with out={out} {how}", highlight=False, soft_wrap=True)
+    except BaseException as error:
+        if behind(error):
+            console.print(f"interrupted; the same command with out={out} {how}", highlight=False, soft_wrap=True)
         raise
 
 
@@ -799,6 +801,8 @@ def main() -> None:
     except (KeyboardInterrupt, typer.Abort):
         raise SystemExit(130) from None
     except Exception as error:
+        if stop := behind(error):
+            raise SystemExit(128 + getattr(stop, "number", signal.SIGINT)) from None
         # Typer's own complaints are not exported as one class; all of them can format themselves
         complaint = error.format_message() if hasattr(error, "format_message") else None
         if isinstance(error, OSError):

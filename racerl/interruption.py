@@ -38,6 +38,13 @@ def listen() -> None:
             signal.signal(number, _end)
 
 
+def behind(error: BaseException | None) -> KeyboardInterrupt | None:
+    """Return the interruption behind an error: libraries in C may raise another one where they are asked to stop."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error
+
+
 class Held:
     """The signal that was held back, if any has come."""
 

@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from racerl.interruption import Terminated, held_back, listen
+from racerl.interruption import Terminated, behind, held_back, listen
 
 CODE = """
 import sys
@@ -52,6 +52,17 @@ def test_the_first_is_held_back_until_work_is_kept(number, caplog):
         asked.release()
         kept.append("never")
     assert kept == ["work"] and "ask again to leave at once" in caplog.text
+
+
+def test_a_library_that_raises_something_else_was_interrupted_all_the_same():
+    try:
+        try:
+            raise Terminated(signal.SIGTERM)
+        except Terminated as stop:
+            raise SystemError("returned a result with an exception set") from stop
+    except SystemError as error:
+        assert isinstance(behind(error), Terminated)
+    assert behind(ValueError("nobody asked")) is None
 
 
 def test_the_second_leaves_at_once():
