@@ -28,6 +28,7 @@ from racerl.errors import DocumentError
 
 if TYPE_CHECKING:
     import pandas as pd
+    import pyarrow as pa
 
 MAX_TEXT_BYTES = 8 * 1024 * 1024
 MAX_YAML_BYTES = 1024 * 1024
@@ -81,6 +82,11 @@ def write_bytes(path: Path, content: bytes) -> None:
     except BaseException:
         Path(temporary).unlink(missing_ok=True)
         raise
+
+
+def as_frame(table: "pa.Table") -> "pd.DataFrame":
+    """Return what was read from Parquet; what its writer noted about it may be damaged or made up, and is left out."""
+    return table.replace_schema_metadata(None).to_pandas(use_threads=False, ignore_metadata=True)
 
 
 def write_sealed(path: Path, content: bytes, about: str = "") -> None:

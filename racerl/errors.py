@@ -8,7 +8,10 @@ LISTED = 24  # choices that a line names; of more only the nearest
 
 
 class RacerlError(Exception):
-    """A mistake in what the user gave; the command line prints it as one line without a traceback."""
+    """A mistake in what the user gave, told in one line; the command line prints it without a traceback."""
+
+    def __str__(self) -> str:
+        return " ".join(super().__str__().split())  # whatever names it quotes
 
 
 class ConfigError(RacerlError):

@@ -24,7 +24,7 @@ def lookup(package: ModuleType, name: str) -> type:
     """Return the class that `name` stands for; raise ConfigError with near names otherwise."""
     kind = package.__name__.rsplit(".", 1)[-1].rstrip("s")
     if name not in choices(package):
-        raise ConfigError(f"unknown {kind} '{name}'{suggest(str(name), choices(package))}")
+        raise ConfigError(f"unknown {kind} '{name}'{suggest(name, choices(package))}")
     module = importlib.import_module(f"{package.__name__}.{name}")
     cls: type = getattr(module, "".join(part.capitalize() for part in name.split("_")))
     return cls
@@ -40,6 +40,8 @@ def create(package: ModuleType, settings: Mapping[str, Any]) -> Any:
 
 def construct(cls: type, settings: Mapping[str, Any], where: str) -> Any:
     """Build a dataclass from a mapping; raise ConfigError for unknown, missing or mistyped keys."""
+    if not isinstance(settings, Mapping):
+        raise ConfigError(f"{where} = {settings}: settings with their values are expected")
     fields = {field.name: field for field in dataclasses.fields(cls) if field.init}
     for key in settings:
         if key not in fields:

@@ -29,7 +29,7 @@ from racerl.data.differentiate import velocities
 from racerl.data.layout import Layout, Source, read_layout
 from racerl.data.log import CHANNELS, POSE, VELOCITY, Log, sample_time
 from racerl.data.topics import suited
-from racerl.documents import conf_folder, read_yaml, require_content
+from racerl.documents import as_frame, conf_folder, read_yaml, require_content
 from racerl.errors import DocumentError, LogError, RacerlError, suggest
 
 TABLES = (".csv", ".csv.gz", ".parquet")
@@ -176,9 +176,7 @@ def _read_parquet(path: Path) -> pd.DataFrame:
         size = sum(metadata.row_group(i).total_byte_size for i in range(metadata.num_row_groups))
         if cells > MAX_CELLS or metadata.num_columns > MAX_COLUMNS or size > MAX_BYTES:
             raise LogError(f"{path}: {metadata.num_rows} rows, {metadata.num_columns} columns; too large, cut the log")
-        # what the writer noted about its own tables is not needed, and may be damaged or made up
-        content = file.read(use_threads=False).replace_schema_metadata(None)
-        return _limited(path, content.to_pandas(use_threads=False, ignore_metadata=True))
+        return _limited(path, as_frame(file.read(use_threads=False)))
 
 
 def _limited(path: Path, table: pd.DataFrame) -> pd.DataFrame:

@@ -11,7 +11,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from racerl.documents import read_json
+from racerl.documents import as_frame, read_json
 from racerl.errors import DocumentError, RunError
 from racerl.evaluate.outcome import METRICS, TRACK, TRAJECTORIES
 from racerl.optimum.floor import find_floor
@@ -150,7 +150,7 @@ def _read_drive(path: Path) -> pd.DataFrame:
     rows = pq.read_metadata(path).num_rows
     if rows > MAX_ROWS:
         raise ValueError(f"{path.name} holds {rows} rows, at most {MAX_ROWS} are read")
-    return pd.read_parquet(path)
+    return as_frame(pq.read_table(path, use_threads=False))
 
 
 def _check(record: Any, fields: Mapping[str, tuple[type, ...]], where: str) -> None:

@@ -63,12 +63,14 @@ class Comparison:
 
     def __post_init__(self) -> None:
         if self.metric not in METRICS:
-            raise ConfigError(f"unknown metric '{self.metric}'{suggest(str(self.metric), METRICS)}")
+            raise ConfigError(f"unknown metric '{self.metric}'{suggest(self.metric, METRICS)}")
         if bool(self.contrast) == bool(self.slope):
             raise ConfigError("a test compares arms: give either contrast or slope, a mapping from arms to numbers")
         if len(self.limit) != 1:
             raise ConfigError("a test has one limit: above, below or within")
         for where, numbers in (("contrast", self.contrast), ("slope", self.slope)):
+            if not isinstance(numbers, Mapping):
+                raise ConfigError(f"{where} = {numbers}: a mapping from arms to numbers is expected")
             for arm, number in numbers.items():
                 bounds.number(f"{where}.{arm}", number, -1e6, 1e6)
 
@@ -155,7 +157,7 @@ def _sweep(name: str, content: Mapping[str, Any]) -> Sweep:
     known = ("question", "base", "arms", "seeds", "metrics", "claims")
     for key in content:
         if key not in known:
-            raise ConfigError(f"sweeps/{name}.yaml: unknown key '{key}'{suggest(str(key), known)}")
+            raise ConfigError(f"sweeps/{name}.yaml: unknown key '{key}'{suggest(key, known)}")
     for key in known[:5]:
         if key not in content:
             raise ConfigError(f"sweeps/{name}.yaml: {key} is missing; give it a value")

@@ -18,7 +18,8 @@ SPACING = 0.04  # m, aimed at; the length is divided evenly
 SMOOTHING = 1e-3  # m
 MIN_POINTS = 8
 MAX_POINTS = 200_000
-MAX_LENGTH = 50_000.0  # m
+MAX_LENGTH = 10_000.0  # m
+MAX_WIDTH = 1_000.0  # m, to either side
 OVERSAMPLING = 8
 
 Array = NDArray[np.float64]
@@ -74,6 +75,10 @@ def build_track(name: str, points: Array, width_right: Array, width_left: Array)
     speed = np.hypot(*spline(fine, 1).T)
     arc = cumulative_simpson(speed, x=fine, initial=0.0)
     length = float(arc[-1])
+    if not length <= MAX_LENGTH:  # between points that lie far apart a spline may swing
+        raise TrackError(
+            f"track {name}: the line through its points is {length:.3g} m long; look for points that are off"
+        )
     s = np.arange(max(MIN_POINTS, round(length / SPACING))) * (length / max(MIN_POINTS, round(length / SPACING)))
     u = np.interp(s, arc, fine)
 
@@ -110,6 +115,11 @@ def _check(name: str, points: Array, width_right: Array, width_left: Array) -> N
         if width.min() <= 0:
             i = int(width.argmin())
             raise TrackError(f"track {name}: {side} width {width[i]:g} m at point {i}; widths must be positive")
+        if width.max() > MAX_WIDTH:
+            i = int(width.argmax())
+            raise TrackError(
+                f"track {name}: {side} width {width[i]:g} m at point {i}, at most {MAX_WIDTH:g} m are read"
+            )
     steps = np.hypot(*np.diff(points, axis=0).T)
     gap = float(np.hypot(*(points[-1] - points[0])))
     allowed = max(5.0 * float(np.median(steps)), 2.0 * float(steps.max()))

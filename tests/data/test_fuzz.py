@@ -22,6 +22,7 @@ from racerl.data.log import CHANNELS, Log
 from racerl.errors import RacerlError
 from racerl.record.bag import encode_bag
 from tests.conftest import CONF
+from tests.damage import damaged
 from tests.data.conftest import mapping, write_bag
 
 SLOWEST = 2.0  # seconds of computing per case, whatever else the machine does
@@ -61,24 +62,6 @@ DAMAGE = st.lists(
     min_size=1,
     max_size=6,
 )
-
-
-def damaged(content: bytes, damage: list[tuple[str, float, int]]) -> bytes:
-    for kind, share, size in damage:
-        at = min(int(share * len(content)), max(len(content) - 1, 0))
-        if kind == "flip" and content:
-            content = content[:at] + bytes([content[at] ^ (1 << (size % 8))]) + content[at + 1 :]
-        elif kind == "cut":
-            content = content[:at]
-        elif kind == "drop":
-            content = content[:at] + content[at + size :]
-        elif kind == "double":
-            content = content[: at + size] + content[at:]
-        elif kind == "zero":
-            content = content[:at] + bytes(min(size, len(content) - at)) + content[at + size :]
-        elif kind == "insert":
-            content = content[:at] + bytes([size]) * (size % 7) + content[at:]
-    return content
 
 
 def attempt(suffix: str, content: bytes, name: str) -> Log | None:

@@ -45,6 +45,7 @@ from racerl.train.session import policy_of, read_progress
 from racerl.vehicle import compiler
 from racerl.vehicle.load import load_vehicle
 from tests.conftest import CONF
+from tests.damage import BYTES, damaged
 
 pytestmark = pytest.mark.soak
 
@@ -83,26 +84,15 @@ class Loader:
 def spoil(content: bytes, dice: np.random.Generator) -> bytes:
     """Return damaged bytes: bits, pieces, or a number or word of a text that is something absurd now."""
     for _ in range(dice.integers(1, 4)):
-        at, size = int(dice.integers(len(content) + 1)), int(dice.integers(1, 64))
-        kind = dice.choice(["bit", "cut", "drop", "double", "zero", "noise", "word", "word", "word", "line"])
-        if kind == "bit" and at < len(content):
-            content = content[:at] + bytes([content[at] ^ (1 << int(dice.integers(8)))]) + content[at + 1 :]
-        elif kind == "cut":
-            content = content[:at]
-        elif kind == "drop":
-            content = content[:at] + content[at + size :]
-        elif kind == "double":
-            content = content[: at + size] + content[at:]
-        elif kind == "zero":
-            content = content[:at] + bytes(size) + content[at + size :]
-        elif kind == "noise":
-            content = content[:at] + dice.bytes(size) + content[at + size :]
-        elif kind == "word" and (words := list(re.finditer(rb"[-\w.+]+", content[:20_000]))):
+        kind = dice.choice([*BYTES, "word", "word", "word", "line"])
+        if kind == "word" and (words := list(re.finditer(rb"[-\w.+]+", content[:20_000]))):
             word = words[int(dice.integers(len(words)))]
             content = content[: word.start()] + str(dice.choice(ABSURD)).encode() + content[word.end() :]
         elif kind == "line" and len(lines := content.split(b"\n")) > 1:
             del lines[int(dice.integers(len(lines)))]
             content = b"\n".join(lines)
+        else:
+            content = damaged(content, [(kind, float(dice.random()), int(dice.integers(1, 64)))])
     return content
 
 

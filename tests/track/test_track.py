@@ -82,6 +82,8 @@ def test_the_first_point_may_be_repeated():
         (lambda p, r, w: (p, r, w - 1), "left width -0.5"),
         (lambda p, r, w: (np.where(p == p[3], np.nan, p), r, w), "NaN"),
         (lambda p, r, w: (p * 1e5, r, w), "is it in metres"),
+        (lambda p, r, w: (np.where(np.arange(60)[:, None] == 10, 2000.0, p), r, w), "the line through its points is"),
+        (lambda p, r, w: (p, r, w * 1e300), "left width 5e[+]299 m at point 0, at most"),
         (lambda p, r, w: (p * 0, r, w), "distinct points"),
         (lambda p, r, w: (p[:, :1], r, w), "shape"),
     ],
