@@ -17,7 +17,7 @@ import typer
 from racerl import __version__, completion
 from racerl.choices import choices, own_keys
 from racerl.errors import ConfigError, RacerlError, RunError, refused
-from racerl.interruption import Terminated, behind, listen
+from racerl.interruption import behind, listen
 
 if TYPE_CHECKING:
     from racerl.config import Settings
@@ -304,8 +304,10 @@ def _run(
 
     try:
         run_command(command, arguments or [], logged, positional)
-    except Terminated as stop:
-        raise typer.Exit(128 + stop.number) from None  # as shells have it; Typer takes any for Ctrl-C
+    except BaseException as error:
+        if stop := behind(error):  # as shells have it; Typer takes any for Ctrl-C
+            raise typer.Exit(128 + getattr(stop, "number", signal.SIGINT)) from None
+        raise
 
 
 @contextmanager
@@ -801,8 +803,6 @@ def main() -> None:
     except (KeyboardInterrupt, typer.Abort):
         raise SystemExit(130) from None
     except Exception as error:
-        if stop := behind(error):
-            raise SystemExit(128 + getattr(stop, "number", signal.SIGINT)) from None
         # Typer's own complaints are not exported as one class; all of them can format themselves
         complaint = error.format_message() if hasattr(error, "format_message") else None
         if isinstance(error, OSError):

@@ -55,25 +55,13 @@ def provenance() -> dict[str, Any]:
 
 def git_sha() -> str | None:
     """Return the commit of the checkout that racerl runs from, with "+changes" when it is dirty; None in a wheel."""
-    root = Path(racerl.__file__).resolve().parent.parent
-    if not (root / ".git").exists():
-        return None
-    try:
-        sha = _git(root, "rev-parse", "HEAD")
-        return sha + ("+changes" if _git(root, "status", "--porcelain", "--untracked-files=no") else "")
-    except (OSError, subprocess.SubprocessError):
-        return None
+    sha, changes = _git("rev-parse", "HEAD"), _git("status", "--porcelain", "--untracked-files=no")
+    return None if sha is None or changes is None else sha + ("+changes" if changes else "")
 
 
 def uncommitted() -> str | None:
     """Return a hash of what the checkout's tracked files have beside its commit; None where nothing, or in a wheel."""
-    root = Path(racerl.__file__).resolve().parent.parent
-    if not (root / ".git").exists():
-        return None
-    try:
-        changes = _git(root, "diff", "HEAD")
-    except (OSError, ValueError, subprocess.SubprocessError):
-        return None
+    changes = _git("diff", "HEAD")
     return hashlib.sha256(changes.encode()).hexdigest()[:16] if changes else None
 
 
@@ -124,9 +112,16 @@ class _Hold:
 _holds: weakref.WeakValueDictionary[Path, _Hold] = weakref.WeakValueDictionary()
 
 
-def _git(root: Path, *arguments: str) -> str:
+def _git(*arguments: str) -> str | None:
+    """Return what git says of the checkout that racerl runs from; None in a wheel, or where git does not answer."""
+    root = Path(racerl.__file__).resolve().parent.parent
+    if not (root / ".git").exists():
+        return None
     command = ["git", "-C", str(root), *arguments]
-    return subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout.strip()  # noqa: S603
+    try:
+        return subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout.strip()  # noqa: S603
+    except (OSError, ValueError, subprocess.SubprocessError):  # ValueError: bytes that are no text
+        return None
 
 
 def cpu_name() -> str:

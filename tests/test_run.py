@@ -118,11 +118,9 @@ def test_a_manifest_knows_the_words_and_what_is_not_committed(tmp_path, monkeypa
         assert RunFolder.start(tmp_path / "b", "train", {}).manifest["words"] == ["dr=friction_0.02", "seed=3"]
     finally:
         WORDS.reset(token)
-    (tmp_path / ".git").mkdir()  # as in a checkout
-    monkeypatch.setattr("racerl.__file__", str(tmp_path / "racerl" / "__init__.py"))
     hashes = []
     for changes in ("", "+ one line", "+ another", "+ one line"):
-        monkeypatch.setattr("racerl.run._git", lambda root, *words, told=changes: told)
+        monkeypatch.setattr("racerl.run._git", lambda *words, told=changes: told)
         hashes.append(uncommitted())
     assert hashes[0] is None and hashes[1] == hashes[3] != hashes[2]
 

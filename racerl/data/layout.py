@@ -131,7 +131,7 @@ def read_layout(settings: Mapping[str, Any]) -> Layout:
     }
     for key in settings:
         if key not in parts:
-            raise ConfigError(f"data has no key '{key}'{suggest(str(key), parts)}")
+            raise ConfigError(f"data has no key '{key}'{suggest(key, parts)}")
     return Layout(**{key: parts[key](value) for key, value in settings.items()})
 
 
@@ -139,7 +139,7 @@ def _channels(settings: Any) -> dict[str, tuple[Source, ...]]:
     channels = {}
     for name, entry in _mapping("data.channels", settings).items():
         if name not in CHANNELS:
-            raise ConfigError(f"data.channels has no channel '{name}'{suggest(str(name), CHANNELS)}")
+            raise ConfigError(f"data.channels has no channel '{name}'{suggest(name, CHANNELS)}")
         entries = entry if isinstance(entry, list | tuple) else [entry]
         if entry is not None:
             channels[name] = tuple(_source(name, f"data.channels.{name}", one) for one in entries)
@@ -182,7 +182,7 @@ def _time(time: Time) -> Time:
     _text("data.time.column", time.column)
     bounds.number("data.time.scale", time.scale, 1e-12, 1e6, "s")
     if time.stamp not in STAMPS:
-        raise ConfigError(f"data.time.stamp = {time.stamp}{suggest(str(time.stamp), STAMPS)}")
+        raise ConfigError(f"data.time.stamp = {time.stamp}{suggest(time.stamp, STAMPS)}")
     return time
 
 
@@ -216,7 +216,7 @@ def _shift(settings: Any) -> dict[str, float]:
     shifts = _mapping("data.shift", settings)
     for name in shifts:
         if name not in CHANNELS:
-            raise ConfigError(f"data.shift has no channel '{name}'{suggest(str(name), CHANNELS)}")
+            raise ConfigError(f"data.shift has no channel '{name}'{suggest(name, CHANNELS)}")
     return {name: bounds.number(f"data.shift.{name}", value, -10.0, 10.0, "s") for name, value in shifts.items()}
 
 

@@ -139,7 +139,7 @@ def find_pad() -> Pad | None:
 def choose_hands(kind: str, race: Race, session: Session) -> Hands:
     """Return the hands for one of INPUTS; raise ConfigError when there are none such."""
     if kind not in INPUTS:
-        raise ConfigError(f"unknown input '{kind}'{suggest(str(kind), INPUTS)}")
+        raise ConfigError(f"unknown input '{kind}'{suggest(kind, INPUTS)}")
     if kind == "script":
         return Script(race, session)
     if pygame.display.get_driver() == "offscreen":

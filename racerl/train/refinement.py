@@ -27,7 +27,7 @@ from racerl.env.race import Race
 from racerl.errors import ConfigError
 from racerl.train import checkpoint
 from racerl.train.checkpoint import section
-from racerl.train.session import Progress, Session, pace, require_finite
+from racerl.train.session import Progress, Session, pace, require_finite_weights
 
 FILE = "refinement.safetensors"
 FAINTEST = 1e-3  # root mean square of a layer's input, as which any counts at least
@@ -104,7 +104,7 @@ def refine(session: Session, settings: Refinement, policy: Policy, before: int, 
                 session.logger.record(f"refinement/{name}", value)
             number = search.generation
             steps = before + number * settings.steps
-            require_finite({"policy": policy.network.parameters()}, steps, "lower budget.refinement.step")
+            require_finite_weights({"policy": policy.network.parameters()}, steps, "lower budget.refinement.step")
             if settings.examines(number):
                 session.examine(policy, steps, key=pace)
                 if clean is None and _clean(session.last):

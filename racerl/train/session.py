@@ -197,7 +197,7 @@ class Session:
             save_policy(policy, self.folder.path, evaluation=self.best)
 
 
-def require_finite(networks: Mapping[str, Iterable[Tensor]], steps: int, remedy: str) -> None:
+def require_finite_weights(networks: Mapping[str, Iterable[Tensor]], steps: int, remedy: str) -> None:
     """Raise Diverged where a network's weights are not finite after so many control steps."""
     for name, weights in networks.items():
         if not all(bool(weight.isfinite().all()) for weight in weights):

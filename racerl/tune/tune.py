@@ -84,7 +84,7 @@ def _ranges(controller: Mapping[str, Any], search: Mapping[str, Any] | None) -> 
     for name, pair in search.items():
         if not isinstance(controller.get(name), float):
             numbers = [key for key, value in controller.items() if isinstance(value, float)]
-            raise ConfigError(f"search.{name}: the controller has no such number{suggest(str(name), numbers)}")
+            raise ConfigError(f"search.{name}: the controller has no such number{suggest(name, numbers)}")
         if not isinstance(pair, (list, tuple)) or len(pair) != 2:
             raise ConfigError(f"search.{name} = {pair}: two numbers are expected, [least, greatest]")
         low, high = (bounds.number(f"search.{name}", each, 1e-9, 1e9) for each in pair)

@@ -100,7 +100,7 @@ def build(cls: type[Component], settings: Any, where: str) -> Component:
     fields = {field.name: field for field in dataclasses.fields(cls)}  # type: ignore[arg-type]
     for key in settings:
         if key not in fields:
-            raise VehicleError(f"{where} has no parameter '{key}'{suggest(str(key), fields)}")
+            raise VehicleError(f"{where} has no parameter '{key}'{suggest(key, fields)}")
     missing = [key for key, field in fields.items() if field.default is dataclasses.MISSING and key not in settings]
     if missing:
         raise VehicleError(f"{where}: {', '.join(missing)} missing; give a value for each")

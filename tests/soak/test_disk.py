@@ -17,6 +17,7 @@ from racerl.evaluate.evaluate import evaluate
 from racerl.gap.diagnose import gap
 from racerl.record.record import record
 from racerl.train.train import train
+from tests.train.short import refinement
 
 UNSHARE = ["unshare", "--user", "--map-root-user", "--mount", "--kill-child"]
 ALLOWED = shutil.which("unshare") and not subprocess.run([*UNSHARE, "true"], capture_output=True).returncode
@@ -25,7 +26,7 @@ pytestmark = [pytest.mark.soak, pytest.mark.skipif(not ALLOWED, reason="no file 
 TRAIN = ["budget=smoke", "threads=1", "budget.steps=1024"]
 COMMANDS = {
     "train": ["train", *TRAIN],
-    "train onward": ["train", "from={trained}", "budget=smoke", "budget.refinement={refinement}", "threads=1"],
+    "train onward": ["train", "from={trained}", "budget=smoke", "{refinement}", "threads=1"],
     "evaluate": ["evaluate", "{trained}", "laps=1", "seeds=[0]"],
     "race": ["evaluate", "controller=pure_pursuit", "laps=1", "seeds=[0]"],
     "record": ["record", "drive=race", "seconds=30"],
@@ -52,10 +53,6 @@ COMMANDS = {
     ],
     "rerun": ["rerun", "{trained}"],
 }
-REFINEMENT = (
-    "{generations:2,evaluations:1,pairs:16,horizon:20,between:5,episode:40,again:0.9,momentum:0.9,"
-    "perturbation:[0.02,0.005],step:[0.005,0.0005],most:[0.3,1.0]}"
-)
 # what is done to the file system before, and how it is mended
 TROUBLES = {
     "full": ("head -c 100M /dev/zero > fill 2>/dev/null || true", "rm fill"),
@@ -97,14 +94,14 @@ def given(tmp_path_factory):
         "trained": folder / "trained",
         "raced": folder / "raced",
         "log": log,
-        "refinement": REFINEMENT,
+        "refinement": refinement(),
     }
 
 
 @pytest.mark.parametrize("trouble", list(TROUBLES))
 @pytest.mark.parametrize("name", list(COMMANDS))
 def test_one_line_and_nothing_lost(name, trouble, given, tmp_path):
-    words = [word.format(**given) if word != "{}" else word for word in COMMANDS[name]]
+    words = [word.format(**given) for word in COMMANDS[name]]
     quoted = " ".join(f"'{word}'" for word in [sys.executable, "-m", "racerl.cli", *words, "out=run"])
     begin, end = TROUBLES[trouble]
     script = SCRIPT.format(trouble=begin, command=quoted, mended=end if trouble != "limited" else "")

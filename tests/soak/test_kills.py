@@ -18,6 +18,7 @@ import pytest
 
 from racerl.rerun import compare
 from racerl.run import is_complete
+from tests.train.short import refinement
 
 pytestmark = pytest.mark.soak
 
@@ -29,10 +30,7 @@ session.CHECKPOINT_PERIOD = {PERIOD}
 from racerl.cli import main
 main()
 """
-REFINED = (
-    "budget.refinement={generations:60,evaluations:6,pairs:32,horizon:40,between:5,episode:80,again:0.9,momentum:0.9,"
-    "perturbation:[0.02,0.005],step:[0.005,0.0005],most:[0.3,1.0]}"
-)
+REFINED = refinement(generations=60, evaluations=6, pairs=32, horizon=40, episode=80)
 PPO = ["budget=smoke", "threads=1", "+dr=friction_0.02", "budget.final_std=0.1", "budget.normalise=true"]
 SHORT = ["algo.rounds=12", "algo.cars=64", "algo.updates=60", "algo.last_updates=200"]
 CASES = {  # words, and how many kills

@@ -15,6 +15,8 @@ import time
 
 import pytest
 
+from tests.train.short import refinement
+
 pytestmark = pytest.mark.soak
 
 MAIN = [sys.executable, "-m", "racerl.cli"]
@@ -23,7 +25,7 @@ COMMANDS = [
     ["record", "drive=programme", "seconds=60", "vehicle=published", "+vehicle/effect=yaw_damping", "out=log"],
     ["data", "log/log.parquet", "out=data"],
     ["train", *SMOKE, "out=trained"],
-    ["train", "from=trained", "budget=smoke", "threads=1", "budget.refinement={refinement}", "out=refined"],
+    ["train", "from=trained", "budget=smoke", "threads=1", refinement(), "out=refined"],
     ["evaluate", "trained", "laps=2", "seeds=[0,1]", "car=twin", "out=raced"],
     ["evaluate", "controller=mpc", "laps=1", "seeds=[0]", "out=mpc"],
     ["optimum", "track=oval", "out=optimum"],
@@ -32,10 +34,6 @@ COMMANDS = [
     ["tune", "pure_pursuit", "trials=3", "laps=1", "seeds=[0]", "out=tuned"],
     ["report", "mpc", "out=report"],  # of a training it says how long that took
 ]
-REFINEMENT = (
-    "{generations:2,evaluations:1,pairs:16,horizon:20,between:5,episode:40,again:0.9,momentum:0.9,"
-    "perturbation:[0.02,0.005],step:[0.005,0.0005],most:[0.3,1.0]}"
-)
 CLOCK = {"seconds", "started", "finished", "run_id", "train_run_id", "clean_after_s"}
 CODE = """
 import itertools, sys, time
@@ -80,7 +78,7 @@ def test_every_command_twice(tmp_path, capsys):
     for name in ("one", "other"):
         (tmp_path / name).mkdir()
         for words in COMMANDS:
-            run(MAIN, tmp_path / name, [word.replace("{refinement}", REFINEMENT) for word in words])
+            run(MAIN, tmp_path / name, words)
     one, other = contents(tmp_path / "one"), contents(tmp_path / "other")
     assert one.keys() == other.keys()
     unlike = [file for file in one if one[file] != other[file]]

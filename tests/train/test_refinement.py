@@ -17,20 +17,9 @@ from racerl.train.checkpoint import recover
 from racerl.train.refinement import FILE, Refinement, Search
 from racerl.train.train import UNREFINED, train
 from tests.train.pulled import logged
+from tests.train.short import refinement
 
-SHORT = {
-    "generations": 2,
-    "evaluations": 1,
-    "pairs": 16,
-    "horizon": 20,
-    "between": 5,
-    "episode": 40,
-    "again": 0.9,
-    "momentum": 0.9,
-}
-SHORT |= {"perturbation": "[0.02,0.005]", "step": "[0.005,0.0005]", "most": "[0.3,1.0]"}
-REFINED = f"budget.refinement={{{','.join(f'{key}:{value}' for key, value in SHORT.items())}}}"
-SMOKE = ["budget=smoke", "threads=1", "budget.steps=1024", REFINED]
+SMOKE = ["budget=smoke", "threads=1", "budget.steps=1024", refinement()]
 PLAN = Refinement(
     generations=6,
     evaluations=2,

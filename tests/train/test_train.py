@@ -22,6 +22,7 @@ from racerl.train.refinement import Search
 from racerl.train.session import pace, rank
 from racerl.train.train import train
 from tests.train.pulled import Plug, logged, pull_at
+from tests.train.short import refinement
 
 SMOKE = ["budget=smoke", "threads=1"]
 
@@ -174,8 +175,6 @@ def test_a_learner_that_diverges_stops_and_leaves_its_last_good_policy(rollouts,
 
 
 def test_a_refinement_that_diverges_leaves_the_policy_from_before(tmp_path, monkeypatch):
-    plan = "{generations:4,evaluations:4,pairs:16,horizon:20,between:5,episode:40,again:0.9,momentum:0.9"
-    plan += ",perturbation:[0.02,0.005],step:[0.005,0.0005],most:[0.3,1.0]}"
     advance = Search.advance
 
     def poisoned(search):
@@ -187,7 +186,7 @@ def test_a_refinement_that_diverges_leaves_the_policy_from_before(tmp_path, monk
 
     monkeypatch.setattr(Search, "advance", poisoned)
     with pytest.raises(RunError, match=r"policy's weights are not finite; lower budget\.refinement\.step"):
-        train(compose_settings("train", [*SMOKE, f"budget.refinement={plan}"]), tmp_path / "run")
+        train(compose_settings("train", [*SMOKE, refinement(generations=4, evaluations=4)]), tmp_path / "run")
     policy = load_policy(tmp_path / "run")
     assert all(bool(weight.isfinite().all()) for weight in policy.network.parameters())
 

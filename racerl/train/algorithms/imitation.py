@@ -19,7 +19,7 @@ from racerl.env.race import Race
 from racerl.train import checkpoint
 from racerl.train.checkpoint import load_optimizer, optimizer_tensors, section
 from racerl.train.products import fast_products
-from racerl.train.session import Progress, Session, policy_of, require_finite
+from racerl.train.session import Progress, Session, policy_of, require_finite_weights
 from racerl.train.teacher import Teacher, find_teacher
 
 # greatest of the whole numbers, and least and greatest of the others
@@ -129,7 +129,7 @@ class Imitation:
                     loss = self._fit(lessons, last)
                 lessons.rounds += 1
                 steps = lessons.rounds * self.cars * self.steps
-                require_finite({"policy": network.parameters()}, steps, "lower algo.learning_rate")
+                require_finite_weights({"policy": network.parameters()}, steps, "lower algo.learning_rate")
                 if last or lessons.rounds % self.examined_every == 0:
                     # one flying lap from a standing start says little of the pace: the policy that has seen most is
                     # kept

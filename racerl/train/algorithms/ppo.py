@@ -13,7 +13,7 @@ from racerl.control.policy import Policy
 from racerl.errors import Diverged
 from racerl.train.checkpoint import FILE, counters, keep, put_into, recover, tensors_of
 from racerl.train.ppo import Budget, RacePPO
-from racerl.train.session import Progress, Session, policy_of, require_finite
+from racerl.train.session import Progress, Session, policy_of, require_finite_weights
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Trainer(BaseCallback):
         model = self.model
         policy = policy_of(copy.deepcopy(model.actor()), model.race, self.session.settings)
         networks = {"actor": policy.network.parameters(), "critic": model.policy.parameters()}
-        require_finite(networks, model.num_timesteps, "lower budget.learning_rate or budget.gradient_norm")
+        require_finite_weights(networks, model.num_timesteps, "lower budget.learning_rate or budget.gradient_norm")
         self.good, self.good_steps = policy, model.num_timesteps
 
     def _on_rollout_start(self) -> None:
