@@ -10,7 +10,7 @@ from racerl.documents import write_json
 from racerl.errors import ConfigError, LogError, RacerlError, RunError
 from racerl.run import RunFolder
 from racerl.train.close import close, interval, means, recovered
-from tests.train.test_refinement import REFINED
+from tests.train.short import refinement
 
 
 @pytest.fixture
@@ -57,7 +57,7 @@ def test_three_policies_race_in_one_car_and_a_second_start_goes_on(diagnosed, tm
 
 
 def test_the_old_policy_is_refined_in_the_new_model_where_the_budget_refines(diagnosed, tmp_path):
-    settings = settings_of(diagnosed, train=["budget=smoke", REFINED])
+    settings = settings_of(diagnosed, train=["budget=smoke", refinement()])
     facts = close(settings, tmp_path / "out", compose_settings)
     assert list(facts["policies"]) == ["old", "refined", "new", "oracle"]
     refined = RunFolder.open_complete(tmp_path / "out" / "refined_0", "train")

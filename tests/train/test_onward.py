@@ -11,7 +11,7 @@ from racerl.evaluate.evaluate import evaluate, label
 from racerl.run import RunFolder
 from racerl.train.onward import train_onward
 from racerl.train.train import UNREFINED, train
-from tests.train.test_refinement import REFINED
+from tests.train.short import refinement
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,7 @@ def origin(tmp_path_factory):
 
 
 def onward(run, *words):
-    return compose_settings("refine", [f"from={run}", "budget=smoke", REFINED, "threads=1", *words])
+    return compose_settings("refine", [f"from={run}", "budget=smoke", refinement(), "threads=1", *words])
 
 
 def test_the_policy_goes_on_in_the_changed_car_with_the_rest_as_it_was(origin, tmp_path):
