@@ -6,8 +6,7 @@ import re
 import shlex
 import signal
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -31,6 +30,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 PAIRS = 12  # named on the terminal; the page names all
+GO_ON = ("train", "refine", "sweep", "gap", "close", "rerun")  # where they were when they were interrupted
 HYDRA = {"allow_extra_args": True, "ignore_unknown_options": True}
 
 
@@ -300,24 +300,19 @@ def _run(
     def logged(settings: "Settings", out: Path) -> None:
         # Hydra has set up logging of its own before the job
         logging.basicConfig(format="%(levelname)s: %(message)s", level=logging.WARNING, force=True)
-        task(settings, out)
+        try:
+            task(settings, out)
+        except BaseException as error:
+            if behind(error):
+                how = "continues" if command in GO_ON else "begins again"
+                typer.echo(f"interrupted; the same command with out={out} {how}")
+            raise
 
     try:
         run_command(command, arguments or [], logged, positional)
     except BaseException as error:
         if stop := behind(error):  # as shells have it; Typer takes any for Ctrl-C
             raise typer.Exit(128 + getattr(stop, "number", signal.SIGINT)) from None
-        raise
-
-
-@contextmanager
-def _continued(console: Any, out: Path, how: str = "continues") -> Iterator[None]:
-    """Say how to go on when asked to stop."""
-    try:
-        yield
-    except BaseException as error:
-        if behind(error):
-            console.print(f"interrupted; the same command with out={out} {how}", highlight=False, soft_wrap=True)
         raise
 
 
@@ -350,7 +345,7 @@ def _show_training(stage: Callable[..., dict[str, Any]], settings: "Settings", o
         left = (progress.total_steps - progress.steps) / progress.steps_per_s if progress.steps_per_s else None
         bar.show(min(1.0, progress.steps / progress.total_steps), training_remark(progress), left)
 
-    with _continued(console, out), Bar(console, "train") as bar:
+    with Bar(console, "train") as bar:
         facts = stage(settings, out, show)
     best = facts["best"]
     lap = f"{best['mean_lap_s']:.3f} s" if best["mean_lap_s"] else "none"
@@ -386,7 +381,7 @@ def _show_laps(stage: Callable[..., dict[str, Any]], settings: "Settings", out: 
     from racerl.evaluate.outcome import METRICS
 
     console = _console()
-    with _continued(console, out, "begins again"), Bar(console, "evaluate") as bar:
+    with Bar(console, "evaluate") as bar:
         metrics = stage(settings, out, bar.show)
     _print_metrics(console, metrics)
     _print_lines(console, f"results in {out / METRICS}", f"next: racerl report {_quoted(out)}")
@@ -403,7 +398,7 @@ def _tune(settings: "Settings", out: Path) -> None:
     from racerl.tune.tune import CONTROLLER, tune
 
     console, trials = _console(), settings["trials"]
-    with _continued(console, out, "begins again"), Bar(console, "tune") as bar:
+    with Bar(console, "tune") as bar:
         facts = tune(
             settings, out, lambda done, best: bar.show(done / trials, f"trial {done}: {best:.3f} s per valid lap")
         )
@@ -423,7 +418,7 @@ def _record(settings: "Settings", out: Path) -> None:
 
     console = _console()
     seconds = settings["seconds"]
-    with _continued(console, out, "begins again"), Bar(console, "record") as bar:
+    with Bar(console, "record") as bar:
         facts = record(settings, out, lambda share: bar.show(share, f"{share * seconds:.0f} of {seconds:g} s driven"))
     log = out / settings["file"]
     _print_lines(
@@ -460,7 +455,7 @@ def _identify(words: Sequence[str], settings: "Settings", out: Path) -> None:
     from racerl.report.identification_page import draw_identification
 
     console = _console()
-    with _continued(console, out, "begins again"), Bar(console, "identify") as bar:
+    with Bar(console, "identify") as bar:
         facts = identify(settings, out, bar.show)
     _print_identification(console, facts)
     page = draw_identification(out)
@@ -495,7 +490,7 @@ def _gap(words: Sequence[str], settings: "Settings", out: Path) -> None:
     from racerl.report.gap_page import draw_gap
 
     console = _console()
-    with _continued(console, out), Bar(console, "gap") as bar:
+    with Bar(console, "gap") as bar:
         facts = gap(settings, out, lambda what, share: bar.show(share, what))
     page = draw_gap(out)
     _print_verdict(console, facts)
@@ -512,7 +507,7 @@ def _close(settings: "Settings", out: Path) -> None:
     from racerl.train.close import RESULT, close
 
     console = _console()
-    with _continued(console, out), Bar(console, "close") as bar:
+    with Bar(console, "close") as bar:
         facts = close(settings, out, compose_settings, bar.show)
     table = Table(
         "policy", "seed", "trained [s]", "mean lap [s]", "fastest [s]", "E_off [m s]", "crashes", "valid laps"
@@ -554,7 +549,7 @@ def _plan(settings: "Settings", out: Path) -> None:
     from racerl.report.figures import separability
 
     console = _console()
-    with _continued(console, out), Bar(console, "plan") as bar:
+    with Bar(console, "plan") as bar:
         facts = plan(settings, out, compose_settings, lambda what, share: bar.show(share, what))
     write_text(out / "separability.svg", separability.draw(facts))
     dark = [name for name, effect in facts["effects"].items() if not effect["shows"]]
@@ -595,12 +590,8 @@ def _sweep(settings: "Settings", out: Path) -> None:
     from racerl.sweep.sweep import RESULTS, sweep
 
     console = _console()
-    try:
-        with Board(console) as board:
-            facts = sweep(settings, out, compose_settings, board.show)
-    except KeyboardInterrupt:
-        console.print("interrupted; the same command goes on", highlight=False)
-        raise
+    with Board(console) as board:
+        facts = sweep(settings, out, compose_settings, board.show)
     _print_lines(console, *conclusions.lines(facts))
     console.print(f"numbers in {out / RESULTS}, report in {draw_sweep(out)}", highlight=False, soft_wrap=True)
     if failed := facts["failed"]:
@@ -614,8 +605,7 @@ def _rerun(settings: "Settings", out: Path) -> None:
     from racerl.rerun import RESULT, rerun
 
     console = _console()
-    with _continued(console, out):
-        facts = rerun(settings, out, compose_settings)
+    facts = rerun(settings, out, compose_settings)
     lines = [f"differs: {each['file']}: {each['what']}" for each in facts["differences"]]
     told = "all files came out the same" if facts["same"] else f"{len(lines)} files came out otherwise"
     lines += [f"changed: {line}" for line in facts["changed"]]
@@ -654,7 +644,7 @@ def _optimum(settings: "Settings", out: Path) -> None:
     from racerl.optimum.optimum import DISTINCT, RACELINE, optimum
 
     console = _console()
-    with _continued(console, out, "begins again"), Bar(console, "optimum") as bar:
+    with Bar(console, "optimum") as bar:
         facts = optimum(settings, out, bar.show)
     held = facts["held"]
     console.print(

@@ -65,6 +65,30 @@ def test_a_library_that_raises_something_else_was_interrupted_all_the_same():
     assert behind(ValueError("nobody asked")) is None
 
 
+@pytest.mark.parametrize(
+    ("words", "where", "how"),
+    [
+        (["gap", "log.csv"], "racerl.gap.diagnose.gap", "continues"),
+        (["gap", "plan"], "racerl.gap.plan.plan", "continues"),
+        (["gap", "close", "log.csv", "real=log.csv"], "racerl.train.close.close", "continues"),
+        (["train"], "racerl.train.train.train", "continues"),
+        (["train", "from=RUN"], "racerl.train.onward.train_onward", "continues"),
+        (["sweep", "ablations"], "racerl.sweep.sweep.sweep", "continues"),
+        (["identify", "log.csv"], "racerl.identify.identify.identify", "begins again"),
+        (["record"], "racerl.cli._console", "begins again"),  # while libraries load
+    ],
+)
+def test_how_to_go_on_is_said(run, monkeypatch, tmp_path, words, where, how):
+    def ctrl_c(*arguments, **named):
+        raise KeyboardInterrupt
+
+    (tmp_path / "log.csv").touch()
+    monkeypatch.setattr(where, ctrl_c)
+    ended = run(*words, "out=outputs/mine")
+    assert ended.returncode == 130
+    assert ended.stdout.splitlines()[-1] == f"interrupted; the same command with out=outputs/mine {how}"
+
+
 def test_the_second_leaves_at_once():
     kept = []
     with pytest.raises(KeyboardInterrupt), held_back():

@@ -1,7 +1,8 @@
 """Running jobs: one process each by submitit, as many at once as there is room for; on this machine or by Slurm.
 
-Finished jobs are passed over, interrupted ones go on from their checkpoint, failed ones are tried again and then told
-about; none takes others along. What submitit pickles stays inside the sweep's folder and is removed with each job.
+Finished jobs are passed over, interrupted and preempted ones go on from their checkpoint, failed ones are tried again
+and then told about; none takes others along. What submitit pickles stays inside the sweep's folder and is removed with
+each job.
 """
 
 import fcntl
@@ -25,7 +26,7 @@ from racerl import bounds
 from racerl.documents import read_json, write_text
 from racerl.errors import ConfigError, DocumentError, RunError
 from racerl.sweep.jobs import Job
-from racerl.sweep.work import STATE, work
+from racerl.sweep.work import STATE, STOPPED, work
 
 OWNER, PICKLES, LOGS = ".sweep", ".submitit", "logs"
 KINDS = ("local", "slurm")
@@ -98,12 +99,14 @@ class Engine:
                 while waiting and len(slots) < self.most:
                     job = waiting.pop(0)
                     tries[job.name] += 1
+                    (job.path / STOPPED).unlink(missing_ok=True)
                     slots.append(self._submit(job))
                 time.sleep(PERIOD[self.kind])
                 for slot in self._over(slots):
                     slots.remove(slot)
                     if not slot.job.done:
                         self._keep_log(slot)
+                        tries[slot.job.name] -= (slot.job.path / STOPPED).exists()  # it has not failed
                         again = tries[slot.job.name] <= self.retries
                         (waiting if again else failed).insert(0, slot.job)
                     shutil.rmtree(slot.folder, ignore_errors=True)

@@ -16,14 +16,14 @@ from typing import Any
 from racerl.documents import write_json
 from racerl.evaluate.evaluate import evaluate
 from racerl.evaluate.rivals import race
-from racerl.interruption import listen
+from racerl.interruption import behind, listen
 from racerl.record.record import record
 from racerl.run import is_complete
 from racerl.sweep.jobs import Job, Race
 from racerl.train.session import Progress
 from racerl.train.train import require_sound, train
 
-STATE, LOCK = "state.json", ".lock"
+STATE, LOCK, STOPPED = "state.json", ".lock", ".stopped"
 TRAINING = 0.95  # share of a job
 PERIOD = 1.0  # s between looks at the sweep, and at most between words about the state
 GRACE = 6.0  # s, in which a job that is asked to end must have
@@ -34,17 +34,23 @@ def work(
 ) -> None:
     """Finish a job in its folder, from wherever an earlier process left it.
 
-    `owner` is the file that the sweep keeps locked while it lives; None where jobs outlive it.
+    `owner` is the file that the sweep keeps locked while it lives; None where jobs outlive it. A job that is asked to
+    end says so by a file, for it has not failed.
     """
     job = Job(name, Path(path), settings, races)
     os.setpgid(0, 0)
-    if owner:  # else a cluster's own signals tell what to do
-        listen()
+    listen()  # a cluster's SIGTERM, too: the sweep submits the job anew
+    if owner:
         threading.Thread(target=_end_with, args=(Path(owner),), daemon=True).start()
     job.path.mkdir(parents=True, exist_ok=True)
     with (job.path / LOCK).open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)  # an orphan of an earlier sweep may still be ending
-        _finish(job)
+        try:
+            _finish(job)
+        except BaseException as error:
+            if behind(error):
+                (job.path / STOPPED).touch()
+            raise
 
 
 def _finish(job: Job) -> None:

@@ -3,14 +3,12 @@
 import shutil
 from concurrent.futures import CancelledError
 from dataclasses import replace
-from pathlib import Path
 from threading import Event
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from racerl import cli
 from racerl.config import compose_settings
 from racerl.data.load import load_given
 from racerl.errors import RunError
@@ -205,24 +203,3 @@ def test_a_compiler_that_the_user_interrupts_is_no_broken_compiler(tmp_path, mon
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     with pytest.raises(KeyboardInterrupt):
         building.build("int nothing;")
-
-
-@pytest.mark.parametrize(
-    ("command", "stage", "how"),
-    [
-        ("_gap", "racerl.gap.diagnose.gap", "continues"),
-        ("_plan", "racerl.gap.plan.plan", "continues"),
-        ("_close", "racerl.train.close.close", "continues"),
-        ("_train", "racerl.train.train.train", "continues"),
-        ("_identify", "racerl.identify.identify.identify", "begins again"),
-    ],
-)
-def test_ctrl_c_says_how_to_go_on(monkeypatch, capsys, command, stage, how):
-    def ctrl_c(*arguments):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(stage, ctrl_c)
-    with pytest.raises(KeyboardInterrupt):
-        words = [[]] if command in ("_gap", "_identify") else []  # those that lead on are told the user's
-        getattr(cli, command)(*words, {}, Path("outputs/mine"))
-    assert capsys.readouterr().out.splitlines()[-1] == f"interrupted; the same command with out=outputs/mine {how}"

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -66,6 +67,11 @@ def wait_for(condition, seconds=60.0):
         time.sleep(0.1)
 
 
+def trained(out, lines):
+    """Return whether a training has come so far."""
+    return any(log.read_text().count("\n") >= lines for log in out.glob("jobs/*/train/progress.jsonl"))
+
+
 def results(out):
     """Return the bytes of everything that must repeat."""
     weights = {path.parent.parent.name: path.read_bytes() for path in out.glob("jobs/*/train/policy.safetensors")}
@@ -107,7 +113,7 @@ def test_jobs_of_a_killed_sweep_keep_their_work_and_end(place):
     """Checkpoints are half a minute apart: this one is written since the sweep is gone."""
     out = place / "killed"
     first = start(place, f"out={out}", "budget.steps=2000000", "engine.jobs=1", "cars=[model]")
-    wait_for(lambda: any(log.read_text().count("\n") >= 3 for log in out.glob("jobs/*/train/progress.jsonl")))
+    wait_for(partial(trained, out, 3))
     assert not list(out.glob("jobs/*/train/checkpoint.safetensors"))
     first.kill()
     first.wait()
@@ -144,6 +150,18 @@ def test_a_job_that_fails_takes_no_other_along(place, run):
     assert json.loads((out / "results.json").read_text())["failed"] == {}
 
 
+@pytest.mark.slow
+def test_a_job_that_is_asked_to_end_has_not_failed(place):
+    out = place / "asked"
+    started = start(place, f"out={out}", "engine.jobs=1", "engine.retries=0", "cars=[model]", "budget.steps=40000")
+    wait_for(partial(trained, out, 3))
+    for process in at_work(out):
+        os.kill(process, signal.SIGTERM)
+    _, error = started.communicate(timeout=300)
+    assert started.returncode == 0, error
+    assert json.loads((out / "results.json").read_text())["failed"] == {}
+
+
 @pytest.mark.parametrize(
     "words, said",
     [
@@ -177,26 +195,48 @@ def test_words_that_are_no_own_keys_are_those_of_training():
     ]
 
 
-@pytest.mark.slurm
-def test_the_same_on_a_real_slurm(place, tmp_path_factory, monkeypatch):
+@pytest.fixture
+def cluster(tmp_path_factory, monkeypatch):
+    """A real Slurm of one node, with a partition whose jobs preempt the others'."""
     script, folder = Path(__file__).with_name("slurm.sh"), tmp_path_factory.mktemp("slurm")
     up = subprocess.run([script, "start", folder], capture_output=True, text=True, timeout=300)
     assert up.returncode == 0, up.stderr
-    try:
-        for word in up.stdout.split()[1:]:
-            name, _, value = word.partition("=")
-            monkeypatch.setenv(name, os.path.expandvars(value))
-        started = start(place, "out=slurm", "engine=slurm")
-        wait_for(lambda: any((place / "slurm" / "jobs").glob("a-0-*/state.json")))
-        queued = subprocess.run(["squeue", "-h", "-o", "%A"], capture_output=True, text=True, check=True).stdout.split()
-        subprocess.run(["scancel", queued[0]], check=True)  # is tried again
-        _, error = started.communicate(timeout=300)
-        assert started.returncode == 0, error
-        assert sweep(place, "out=local")[0] == 0
-        there, here = results(place / "slurm"), results(place / "local")
-        assert {name for name in here if here[name] != there[name]} == set()
-    finally:
-        subprocess.run([script, "stop", folder], check=True)
+    for word in up.stdout.split()[1:]:
+        name, _, value = word.partition("=")
+        monkeypatch.setenv(name, os.path.expandvars(value))
+    yield
+    subprocess.run([script, "stop", folder], check=True)
+
+
+@pytest.mark.slurm
+def test_the_same_on_a_real_slurm_where_a_job_is_cancelled(place, cluster):
+    there, here = place / "there" / "run", place / "here" / "run"  # one name, for the page tells it
+    started = start(place, f"out={there}", "engine=slurm")
+    wait_for(lambda: any(there.glob("jobs/a-0-*/state.json")))
+    queued = subprocess.run(["squeue", "-h", "-o", "%A"], capture_output=True, text=True, check=True).stdout.split()
+    subprocess.run(["scancel", queued[0]], check=True)  # is tried again
+    _, error = started.communicate(timeout=300)
+    assert started.returncode == 0, error
+    assert sweep(place, f"out={here}")[0] == 0
+    assert results(there) == results(here)
+
+
+@pytest.mark.slurm
+def test_a_job_that_is_preempted_keeps_its_work_ends_and_goes_on(place, cluster):
+    """Twice, though a job that fails is tried again once only; checkpoints are half a minute apart."""
+    there, here = place / "there" / "run", place / "here" / "run"
+    words = ("budget.steps=120000", "cars=[model]", "engine.jobs=1")
+    started = start(place, f"out={there}", "engine=slurm", *words)
+    for lines in (3, 6):
+        wait_for(partial(trained, there, lines))
+        subprocess.run(["sbatch", "-p", "urgent", "--exclusive", "-o", "/dev/null", "--wrap", "sleep 1"], check=True)
+        wait_for(lambda: not at_work(there), 10.0)
+        assert len(list(there.glob("jobs/*/train/checkpoint.safetensors"))) == 1
+        wait_for(lambda: at_work(there), 120.0)
+    _, error = started.communicate(timeout=300)
+    assert started.returncode == 0, error
+    assert sweep(place, f"out={here}", *words)[0] == 0
+    assert results(there) == results(here)
 
 
 @pytest.mark.slow
