@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 FORMAT = 1
 WEIGHTS, FACTS = "policy.safetensors", "policy.json"
+UNREFINED = "unrefined"  # folder, in a training's, of its policy as it was before the refinement
 MAX_WEIGHTS_BYTES = 256 * 1024 * 1024
 MAX_LAYERS, MAX_UNITS = 16, 65536
 SLOPE = 0.2  # of the LeakyReLU

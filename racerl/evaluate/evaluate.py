@@ -11,7 +11,8 @@ import torch
 
 from racerl import bounds
 from racerl.assemble import Car, build_race, check_settings, choose_device, unlimited, use_threads
-from racerl.control.policy import load_policy
+from racerl.control.policy import FACTS, UNREFINED, load_policy
+from racerl.documents import read_json
 from racerl.env.race import Race
 from racerl.env.randomize import Randomization
 from racerl.env.termination import Crash
@@ -23,7 +24,7 @@ from racerl.evaluate.recorded import follow, read_recorded
 from racerl.optimum.floor import problem_hash
 from racerl.paper import PAPER
 from racerl.registry import construct
-from racerl.run import RunFolder
+from racerl.run import MANIFEST, RunFolder
 
 ONWARD = ", refined on"  # in another world than it was learned in
 OVERRIDABLE = ("vehicle", "track", "sim", "dr")
@@ -35,22 +36,21 @@ def evaluate(
     """Evaluate the policy, or score the drive log, of `settings["run"]`; return the metrics written into `out`."""
     if Path(str(settings["run"])).is_file() or str(settings["run"]).startswith(PAPER):
         return _evaluate_log(settings, out)
-    trained = RunFolder.open_complete(Path(settings["run"]), "train")
+    run = Path(settings["run"])
+    trained, trained_settings, course = training_of(run)
     seeds, laps = seeds_of(settings["seeds"]), bounds.whole("laps", settings["laps"], 1, 10_000)
     use_threads(settings["threads"])
-    trained_settings = trained.settings()
-    check_settings(trained_settings)
     name = label(trained_settings)
     car = construct(Car, settings["car"], "car")
     race_settings = combine(trained_settings, settings, car)
     device = choose_device(settings["device"])
-    policy = load_policy(trained.path, device)
+    policy = load_policy(run, device)
     # the policy knows what it sees and does, in which scale
     race_settings |= {"obs": policy.observation, "action": policy.action}
     race = build_evaluation_race(race_settings, seeds, device, car.estimate)
     if race.observation.size != policy.sizes[0]:
         raise PolicyError(
-            f"{trained.path}: the policy reads {policy.sizes[0]} numbers, the observation has {race.observation.size}"
+            f"{run}: the policy reads {policy.sizes[0]} numbers, the observation has {race.observation.size}"
         )
 
     folder = RunFolder.start(out, "evaluate", settings, seed=seeds, threads=settings["threads"], device=str(device))
@@ -70,10 +70,27 @@ def evaluate(
         race=race,
         run=str(settings["run"]),
         run_id=trained.manifest["run_id"],
-        trained={key: trained.manifest.get(key) for key in ("steps", "seconds")},
+        trained=course,
     )
     folder.finish(train_run_id=trained.manifest["run_id"], nan_cars=race.faults, problem=problem)
     return metrics
+
+
+def training_of(run: Path) -> tuple[RunFolder, dict[str, Any], dict[str, Any]]:
+    """Return a policy's training, settings that say what the policy has been through, and its steps and seconds.
+
+    `run` is a finished training, or the folder in it of the policy before its refinement.
+    """
+    before = run.name == UNREFINED and not (run / MANIFEST).exists()
+    trained = RunFolder.open_complete(run.parent if before else run, "train")
+    settings = trained.settings()
+    check_settings(settings)
+    if not before:
+        return trained, settings, {key: trained.manifest.get(key) for key in ("steps", "seconds")}
+    facts = read_json(run / FACTS)
+    learned = facts.get("learned")
+    steps = learned.get("steps") if isinstance(learned, Mapping) else None
+    return trained, {**settings, "budget": None}, {"steps": steps, "seconds": facts.get("seconds")}
 
 
 def _evaluate_log(settings: Mapping[str, Any], out: Path) -> dict[str, Any]:
@@ -129,9 +146,9 @@ def learned(settings: Mapping[str, Any]) -> str:
     algorithm, budget = settings.get("algo"), settings.get("budget")
     if not isinstance(algorithm, Mapping) or not isinstance(name := algorithm.get("name"), str):
         return ""
-    if name == "trained":
-        return str(algorithm.get("learned")).removesuffix(ONWARD) + ONWARD
     refined = isinstance(budget, Mapping) and bool(budget.get("refinement"))
+    if name == "trained":
+        return str(algorithm.get("learned")).removesuffix(ONWARD) + ONWARD * refined
     return ("PPO" if name == "ppo" else name) + (" refined" if refined else "")
 
 

@@ -18,10 +18,10 @@ from racerl.report.interval import draw as draw_interval
 from racerl.report.page import figure, interval, number, provenance, write_page
 from racerl.report.subjects import Evaluation, find_subjects
 from racerl.run import RunFolder
-from racerl.sweep.conclusions import banner, headline
+from racerl.sweep.conclusions import POLICIES, banner, headline, numbered, of, policies
 from racerl.sweep.definition import METRICS, OF_TRAINING
 from racerl.sweep.statistics import told
-from racerl.sweep.sweep import LAPS, LEARNING, RESULTS, STEERING, TRAININGS
+from racerl.sweep.sweep import LAPS, LEARNING, RESULTS, STEERING, TRAININGS, of_policy
 
 CURVE = ["sweep", "arm", "seed", "steps", "reward"]  # columns of a learning curve; a sweep of rivals has none
 CURVES = ("track_representation", "action_space")  # sweeps whose arms the paper's Fig. 4 shows
@@ -46,14 +46,14 @@ class Findings:
         return cls(
             folder,
             read_json(folder / RESULTS),
-            pd.read_csv(folder / LAPS),
+            pd.read_csv(folder / LAPS, dtype={"policy": str}).fillna({"policy": ""}),
             pd.read_csv(folder / TRAININGS),
             pd.read_csv(folder / LEARNING) if (folder / LEARNING).is_file() else pd.DataFrame(columns=CURVE),
-            pd.read_csv(steering) if steering.is_file() else pd.DataFrame(),
+            pd.read_csv(steering) if steering.is_file() else pd.DataFrame(columns=["arm", "policy"]),
         )
 
     def arms(self, sweep: str) -> list[dict[str, Any]]:
-        """Return the rows of one sweep's arms, car by car."""
+        """Return the rows of one sweep's arms, policy by policy and car by car."""
         return [row for row in self.facts["arms"] if row["sweep"] == sweep]
 
     @property
@@ -61,6 +61,11 @@ class Findings:
         """Colour of every arm, by sweep and name, for all figures; arms that were trained alike share one."""
         first = self.trainings.drop_duplicates(["sweep", "arm"])
         return assign({(row.sweep, row.arm): row.job.rpartition("-")[2] for row in first.itertuples()})
+
+    @property
+    def policies(self) -> list[str]:
+        """Policies of a training that were raced, as learned first."""
+        return [policy for policy in policies(self.facts["arms"]) if policy] or [""]
 
     @property
     def cars(self) -> list[str]:
@@ -84,7 +89,8 @@ def section(run: Path, out: Path) -> dict[str, Any]:
             "facts": found.facts,
             "headline": headline(found.facts),
             "banner": banner(found.facts),
-            "claims": [_claim(claim) for claim in found.facts["claims"]],
+            "policies": [POLICIES[policy] for policy in found.policies] if len(found.policies) > 1 else [""],
+            "claims": [_claim(same) for same in numbered(found.facts["claims"]).values()],
             "tables": [_table(found, sweep) for sweep in found.facts["sweeps"]],
             "table_1": _table_1(found),
             "figures": [
@@ -99,14 +105,6 @@ def section(run: Path, out: Path) -> dict[str, Any]:
 def drawn(found: Findings) -> Iterator[tuple[str, str, str, str | None]]:
     """Yield name, title, caption and SVG of every figure that the sweep has the arms for."""
     names = {sweep["sweep"] for sweep in found.facts["sweeps"]}
-    if "domain_randomization" in names:
-        laps = found.laps[found.laps["sweep"] == "domain_randomization"]
-        yield (
-            "randomization",
-            "Domain randomization (the paper's Fig. 3)",
-            "Lap times, E_off and crashes over what was randomized in training and its σ.",
-            randomization.draw(laps, found.arms("domain_randomization"), found.cars, found.colours),
-        )
     curves = found.learning[found.learning["sweep"].isin(CURVES)] if names & set(CURVES) else found.learning
     yield (
         "learning",
@@ -115,19 +113,11 @@ def drawn(found: Findings) -> Iterator[tuple[str, str, str, str | None]]:
         "allow: compare shapes.",
         learning_bands.draw(curves, found.colours),
     )
-    yield (
-        "turn_in",
-        "Steering with and without an actuator model (the paper's Fig. 5)",
-        "Measured steering angle along the track; what starts further left turns in earlier.",
-        turn_in.draw(found.steering, found.cars, found.colours),
-    )
-    yield (
-        "transfer",
-        "From the model to the other cars",
-        "The same policies in every car, means over seeds with 95 % intervals.",
-        transfer.draw(list(_distinct(found.facts["arms"])), found.colours),
-    )
-
+    for policy in found.policies:
+        for name, title, caption, svg in _of_policy(found, policy):
+            several = len(found.policies) > 1
+            words = f", {POLICIES[policy]}" if several else ""
+            yield f"{name}_{policy}" if several else name, title + words, caption, svg
     for a, b in DUELS:
         yield (
             f"{a}_and_{b}",
@@ -136,6 +126,32 @@ def drawn(found: Findings) -> Iterator[tuple[str, str, str, str | None]]:
             "times since the line; where delta time falls, the first is gaining.",
             _duel(found, a, b),
         )
+
+
+def _of_policy(found: Findings, policy: str) -> Iterator[tuple[str, str, str, str | None]]:
+    """Yield name, title, caption and SVG of the figures that there is one of for every policy of a training."""
+    arms = [row for row in found.facts["arms"] if of(row) in (policy, "")]
+    laps = of_policy(found.laps[found.laps["sweep"] == randomization.SWEEP], policy)
+    yield (
+        "randomization",
+        "Domain randomization (the paper's Fig. 3)",
+        "Lap times, E_off and crashes over what was randomized in training and its σ.",
+        randomization.draw(
+            laps, [row for row in arms if row["sweep"] == randomization.SWEEP], found.cars, found.colours
+        ),
+    )
+    yield (
+        "turn_in",
+        "Steering with and without an actuator model (the paper's Fig. 5)",
+        "Measured steering angle along the track; what starts further left turns in earlier.",
+        turn_in.draw(of_policy(found.steering, policy), found.cars, found.colours),
+    )
+    yield (
+        "transfer",
+        "From the model to the other cars",
+        "The same policies in every car, means over seeds with 95 % intervals.",
+        transfer.draw(list(_distinct(arms)), found.colours),
+    )
 
 
 def _duel(found: Findings, a: str, b: str) -> str | None:
@@ -156,7 +172,7 @@ def _fastest(found: Findings, arm: str) -> Evaluation | None:
         return None
     trained = found.trainings
     rows = trained[(trained["sweep"] == DRIVERS) & (trained["arm"] == arm) & (trained["seed"] == timed["seed"].iloc[0])]
-    run = found.folder / "jobs" / rows["job"].iloc[0] / found.cars[-1]
+    run = found.folder / "jobs" / rows["job"].iloc[0] / timed["policy"].iloc[0] / found.cars[-1]
     return find_subjects([run], found.folder)[0].evaluation if run.is_dir() else None
 
 
@@ -183,17 +199,33 @@ def _cell(metric: str, found: dict[str, Any]) -> str:
 
 def _table(found: Findings, sweep: dict[str, Any]) -> dict[str, Any]:
     """Return one sweep's arms as rows of text, the metrics that it names in every car."""
-    metrics = list(sweep["metrics"])
+    metrics, several = list(sweep["metrics"]), len(found.policies) > 1
     rows = [
-        [_words(row["arm"]), row["car"], str(row["trainings"] or "–"), *(_cell(m, row[m]) for m in metrics)]
+        [
+            _words(row["arm"]),
+            *([POLICIES[of(row)]] if several else []),
+            row["car"],
+            str(row["trainings"] or "–"),
+            *(_cell(m, row[m]) for m in metrics),
+        ]
         for row in found.arms(sweep["sweep"])
     ]
-    heads = ["arm", "car", "trainings", *(METRICS[metric].head for metric in metrics)]
+    heads = ["arm", *(["policy"] if several else []), "car", "trainings", *(METRICS[m].head for m in metrics)]
     return {"name": _words(sweep["sweep"]), "question": sweep["question"], "heads": heads, "rows": rows}
 
 
-def _claim(claim: dict[str, Any]) -> dict[str, Any]:
-    return {**claim, "told": told(claim), "tests": [_test(test) for test in claim["tests"]]}
+def _claim(same: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return a claim with its verdict and tests for every policy."""
+    judged = [
+        {
+            "policy": POLICIES[of(claim)] if len(same) > 1 else "",
+            "verdict": claim["verdict"],
+            "told": told(claim),
+            "tests": [_test(test) for test in claim["tests"]],
+        }
+        for claim in same
+    ]
+    return {"claim": same[0]["claim"], "says": same[0]["says"], "judged": judged}
 
 
 def _test(test: dict[str, Any]) -> dict[str, Any]:
@@ -206,7 +238,7 @@ def _test(test: dict[str, Any]) -> dict[str, Any]:
     outcome = {
         True: "as claimed",
         False: "not as claimed",
-        None: test["why"] or "open, the interval holds the threshold",
+        None: f"open, {test['why'] or 'the interval holds the threshold'}",
     }
     shown = None if effect is None else scale * effect
     between = None if ci95 is None else [scale * each for each in ci95]
@@ -279,10 +311,12 @@ def _table_1(found: Findings) -> list[dict[str, str]]:
         laps = found.laps[
             (found.laps["sweep"] == DRIVERS) & (found.laps["arm"] == row["arm"]) & (found.laps["car"] == row["car"])
         ]
+        laps = laps[laps["policy"] == of(row)]
+        name = ", ".join(filter(None, (_words(row["arm"]), POLICIES[of(row)] if len(found.policies) > 1 else "")))
         deviation = laps["time_s"].std()
         rows.append(
             {
-                "driver": f"{_words(row['arm'])}, {'recorded' if recorded else row['car']}",
+                "driver": f"{name}, {'recorded' if recorded else row['car']}",
                 "fastest": _cell("fastest", row["fastest"]),
                 "mean": _cell("lap_time", row["lap_time"]),
                 "std": number(None if pd.isna(deviation) else deviation, 3),

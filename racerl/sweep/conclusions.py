@@ -1,10 +1,13 @@
 """What a sweep's results come to in words, the same on the terminal and on its page."""
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+from racerl.sweep.jobs import LEARNED, REFINED
 from racerl.sweep.statistics import VERDICTS, told
+
+POLICIES = {"": "", LEARNED: "as learned", REFINED: "refined"}  # in words
 
 
 def headline(facts: Mapping[str, Any]) -> str:
@@ -13,8 +16,40 @@ def headline(facts: Mapping[str, Any]) -> str:
         return f"A trial of {steps:,} control steps per training: no verdicts"
     if not facts["claims"]:
         return f"{facts['jobs']['done']} of {facts['jobs']['planned']} jobs done, no claims to weigh"
-    counts = Counter(claim["verdict"] for claim in facts["claims"])
-    return ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS)
+    found = {}
+    for policy in policies(facts["claims"]):
+        counts = Counter(claim["verdict"] for claim in facts["claims"] if of(claim) == policy)
+        found[policy] = ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS)
+    if len(found) == 1:
+        return next(iter(found.values()))
+    said = "; ".join(f"{POLICIES[policy]}: {counted}" for policy, counted in found.items())
+    return said[0].upper() + said[1:]
+
+
+def of(row: Mapping[str, Any]) -> str:
+    """Return the policy that an arm's row or a claim is about; empty where there is one alone."""
+    return str(row.get("policy", ""))
+
+
+def policies(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return the policies that rows are about, as learned first."""
+    return list(dict.fromkeys(map(of, rows)))
+
+
+def numbered(claims: Sequence[Mapping[str, Any]]) -> dict[int, list[Mapping[str, Any]]]:
+    """Return claims by their number, one for each policy."""
+    found: dict[int, list[Mapping[str, Any]]] = {}
+    for claim in claims:
+        found.setdefault(claim["claim"], []).append(claim)
+    return found
+
+
+def verdict(claims: Sequence[Mapping[str, Any]]) -> str:
+    """Return what came of a claim, once where it is the same for every policy."""
+    said = {of(claim): told(claim) for claim in claims}
+    if len(set(said.values())) == 1:
+        return told(claims[0])
+    return "; ".join(f"{POLICIES[policy]} {words}" for policy, words in said.items())
 
 
 def banner(facts: Mapping[str, Any]) -> str:
@@ -29,5 +64,7 @@ def banner(facts: Mapping[str, Any]) -> str:
 
 def lines(facts: Mapping[str, Any]) -> list[str]:
     """Return what the terminal says of the results: banner, headline and a line per claim."""
-    claims = [f"claim {claim['claim']}: {told(claim)}: {claim['says']}" for claim in facts["claims"]]
+    claims = [
+        f"claim {number}: {verdict(same)}: {same[0]['says']}" for number, same in numbered(facts["claims"]).items()
+    ]
     return [*filter(None, (banner(facts),)), headline(facts), *claims]

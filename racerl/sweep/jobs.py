@@ -1,5 +1,7 @@
 """The jobs of a sweep: one training each, and its races in every car. Arms that train alike share a job.
 
+A training that ends with a refinement races twice: with its policy as it was learned, and refined.
+
 Arms whose words name a controller=, a driver's drive= or a drive to be scored, run=, train nothing: one job for all
 seeds, in the world (vehicle, track, …) of the others.
 """
@@ -10,10 +12,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from racerl.control.policy import UNREFINED
 from racerl.run import Compose, config_hash, is_complete
 from racerl.sweep.definition import Sweep
 
 UNTRAINED = -1  # stands for the seed of what is not trained
+LEARNED, REFINED = "learned", "refined"  # policies of one training
 WORLD = {  # groups of a training's words that hold for a stage, too
     "race": ("vehicle", "track", "sim", "action"),
     "record": ("vehicle", "track", "sim"),
@@ -38,7 +42,7 @@ class Job:
     name: str
     path: Path
     train: Mapping[str, Any] | None  # settings; None for what is not trained
-    races: Mapping[str, Race]  # by car
+    races: Mapping[tuple[str, str], Race]  # by policy ("" for what is not trained) and car
 
     @property
     def seed(self) -> int:
@@ -50,15 +54,15 @@ class Job:
         """Folder of the training run."""
         return self.path / "train"
 
-    def race(self, car: str) -> Path:
-        """Return the folder of the race in a car."""
-        return self.path / car
+    def race(self, policy: str, car: str) -> Path:
+        """Return the folder of a policy's race in a car."""
+        return self.path / policy / car
 
     @property
     def done(self) -> bool:
         """Whether everything is there."""
         trained = self.train is None or is_complete(self.trained)
-        return trained and all(is_complete(self.race(car)) for car in self.races)
+        return trained and all(is_complete(self.race(policy, car)) for policy, car in self.races)
 
 
 @dataclass(frozen=True)
@@ -111,9 +115,13 @@ def _training(
     own = [*map(str, settings["words"]), f"threads={settings['threads']}", f"seed={seed}"]
     train = compose("train", [*words, *own])
     path = out / "jobs" / f"{arm}-{seed}-{config_hash(train)[:6]}"
-    asked = [f"run='{path / 'train'}'", f"laps={settings['laps']}", f"seeds={list(settings['starts'])}"]
-    races = {car: Race(compose("evaluate", [*asked, f"car={car}", f"out='{path / car}'"])) for car in settings["cars"]}
-    return Job(f"{arm}-{seed}", path, {**train, "out": str(path / "train")}, races)
+    trained, races = path / "train", {}
+    refined = train["budget"].get("refinement")
+    for policy, run in {LEARNED: trained / UNREFINED, REFINED: trained}.items() if refined else [(LEARNED, trained)]:
+        for car in settings["cars"]:
+            asked = [f"run='{run}'", f"laps={settings['laps']}", f"seeds={list(settings['starts'])}", f"car={car}"]
+            races[policy, car] = Race(compose("evaluate", [*asked, f"out='{path / policy / car}'"]))
+    return Job(f"{arm}-{seed}", path, {**train, "out": str(trained)}, races)
 
 
 def _rival(
@@ -130,16 +138,16 @@ def _rival(
         raced = [*words, f"car={car}"]
         if stage == "race":
             asked = [f"laps={laps}", f"seeds={starts}", f"threads={settings['threads']}", f"out='{path / car}'"]
-            races[car] = Race(compose("race", [*raced, *asked]))
+            races["", car] = Race(compose("race", [*raced, *asked]))
         elif stage == "evaluate":
-            races[car] = Race(compose("evaluate", [*raced, f"out='{path / car}'"]))
+            races["", car] = Race(compose("evaluate", [*raced, f"out='{path / car}'"]))
         else:
             block = min(LONGEST_RUN, SLOWEST_LAP * (laps + 1))
             asked = [f"seconds={block * len(starts)}", f"drive.block={block}", f"out='{path / car}_drive'"]
             record = compose("record", [*raced, *asked])
             log = Path(record["out"]) / record["file"]
             score = compose("evaluate", [f"run='{log}'", f"out='{path / car}'"])
-            races[car] = Race({**score, "track": record["track"]}, record)
+            races["", car] = Race({**score, "track": record["track"]}, record)
     return Job(arm, path, None, races)
 
 

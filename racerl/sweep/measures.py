@@ -5,7 +5,6 @@ Turn-in: the distance by which a lap's steering δ(s) leads the track's curvatur
 """
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,7 @@ from racerl.sweep.jobs import Job
 from racerl.train.session import read_progress
 
 # columns of a lap
-LAP = ("car", "start", "number", "time_s", "e_off", "off_track_m", "crashed", "valid", "turn_in_m")
+LAP = ("policy", "car", "start", "number", "time_s", "e_off", "off_track_m", "crashed", "valid", "turn_in_m")
 Array = NDArray[np.float64]
 MODEL = "model"  # the car whose time-optimal lap counts
 SHARE = 0.1  # of a training's end, over which its reward is averaged
@@ -28,21 +27,22 @@ STEP, REACH = 0.05, 2.0  # m, of the grid that turn-in is looked for on, and how
 COARSE = 0.1  # m, of the grid that steering is kept on
 
 
-def measure(job: Job, cars: Sequence[str], most: int) -> list[dict[str, Any]]:
-    """Return the laps that a finished job drove in every car, at most so many of a start.
+def measure(job: Job, most: int) -> list[dict[str, Any]]:
+    """Return the laps that a finished job's policies drove in every car, at most so many of a start.
 
     Raises RunError for folders that are damaged.
     """
     laps = []
     try:
-        for car in cars:
-            raced = job.race(car)
+        for policy, car in job.races:
+            raced = job.race(policy, car)
             leads = turn_ins(pd.read_parquet(raced / TRAJECTORIES), pd.read_csv(raced / TRACK))
             for row in read_json(raced / METRICS)["rows"]:
                 if row["number"] > most:  # a recorded driver does not stop
                     continue
                 laps.append(
                     {
+                        "policy": policy,
                         "car": car,
                         "start": row["seed"],
                         "number": row["number"],
@@ -75,14 +75,15 @@ def final_reward(table: pd.DataFrame) -> float | None:
     return float(last["reward"].mean())
 
 
-def arrivals(job: Job, cars: Sequence[str]) -> dict[str, float]:
+def arrivals(job: Job) -> dict[str, float]:
     """Return after how many seconds of training a policy was first within so many percent of the time-optimal lap.
 
     Settled laps of examinations without a crash count, in the training's own cars. NaN where none is near enough, and
     where the time-optimal lap of the model is not known.
     """
     found = {f"to_{percent}": math.nan for percent in ARRIVALS}
-    floor = read_json(job.race(MODEL) / METRICS)["optimum_s"] if MODEL in cars else None
+    raced = [job.race(policy, car) for policy, car in job.races if car == MODEL]
+    floor = read_json(raced[0] / METRICS)["optimum_s"] if raced else None
     if job.train is None or floor is None:
         return found
     columns = ["time/seconds", "evaluation/settled_lap_s", "evaluation/crash_share"]
@@ -107,9 +108,9 @@ def turn_ins(drive: pd.DataFrame, track: pd.DataFrame) -> dict[tuple[int, int], 
     return found
 
 
-def usual_steering(job: Job, car: str) -> pd.DataFrame:
-    """Return the median steering angle over a job's flying laps in a car, along the track; empty without any."""
-    drive = pd.read_parquet(job.race(car) / TRAJECTORIES)
+def usual_steering(job: Job, policy: str, car: str) -> pd.DataFrame:
+    """Return the median steering angle over a policy's flying laps in a car, along the track; empty without any."""
+    drive = pd.read_parquet(job.race(policy, car) / TRAJECTORIES)
     drive = drive[drive["lap"] > 0]
     place = (drive["s"] / COARSE).round().astype(int)
     median = drive.groupby(place)["delta"].median()

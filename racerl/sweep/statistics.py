@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 RESAMPLES = 1000
 LEVEL = 0.95
 TRIAL = "trial budget"
+MANY = 100  # trainings of an arm, more than which nobody makes for one claim
 VERDICTS = ("supported", "refuted", "undecided", "not tested")
 MEASURES = ("time_s", "e_off", "off_track_m", "crashed", "valid", "turn_in_m")
 
@@ -173,6 +174,18 @@ def obstacle(interval: Sequence[float] | None, trainings: int | None) -> str:
     return "an interval without width" if math.isclose(*interval, rel_tol=1e-9, abs_tol=1e-12) else ""
 
 
+def needed(effect: float, interval: Sequence[float], limit: Mapping[str, float], trainings: int) -> float:
+    """Return how many trainings would decide a test, were its effect as it is and its interval ∝ 1/√trainings."""
+    ((side, bound),) = limit.items()
+    nearest = min((bound, -bound) if side == "within" else (bound,), key=lambda each: abs(effect - each))
+    reach = effect - interval[0] if nearest < effect else interval[1] - effect
+    return math.ceil(trainings * (reach / (effect - nearest)) ** 2) if effect != nearest else math.inf
+
+
+def _power(trainings: float) -> str:
+    return f"about {trainings:.0f} trainings would tell" if trainings <= MANY else f"{MANY} trainings would not tell"
+
+
 def _test(test: Comparison, sweep: Sweep, samples: Mapping[str, Samples]) -> dict[str, Any]:
     facts: dict[str, Any] = {
         "metric": test.metric,
@@ -202,8 +215,11 @@ def _test(test: Comparison, sweep: Sweep, samples: Mapping[str, Samples]) -> dic
     single = contrast(test, mine.shared(test.arms, test.metric))
     facts["one_lap"] = sorted(arm for arm in test.arms if mine.laps[arm] == 1)  # taken as if it were exact
     facts["agreeing"] = sum(test.holds(float(value), float(value)) is True for value in single)
-    why = obstacle(interval, mine.trainings(test.arms))
+    trainings = mine.trainings(test.arms)
+    why = obstacle(interval, trainings)
     holds = None if why or interval is None else test.holds(*interval)
+    if holds is None and not why and interval and trainings:
+        why = _power(needed(effect, interval, test.limit, trainings))
     return {**facts, "effect": float(effect), "ci95": interval, "holds": holds, "why": why}
 
 

@@ -19,7 +19,7 @@ from racerl.errors import ConfigError, RunError
 from racerl.run import MANIFEST, Compose, RunFolder
 from racerl.sweep.definition import Sweep, read_sweeps
 from racerl.sweep.engine import LOGS, Engine, Status, alone
-from racerl.sweep.jobs import Plan, plan
+from racerl.sweep.jobs import LEARNED, REFINED, Plan, plan
 from racerl.sweep.measures import LAP, arrivals, final_reward, learning, measure, usual_steering
 from racerl.sweep.statistics import Samples, judge, resample
 
@@ -83,7 +83,7 @@ def check(settings: Mapping[str, Any]) -> None:
 def summarise(planned: Plan, settings: Mapping[str, Any], out: Path, failed: Mapping[str, str]) -> dict[str, Any]:
     """Write what the finished jobs came to; return results.json."""
     cars = list(settings["cars"])
-    tables = gather(planned, cars, settings["laps"])
+    tables = gather(planned, settings["laps"])
     for name, table in tables.items():
         if not table.empty:
             write_text(out / name, table.to_csv(index=False, float_format="%.6g"))
@@ -97,12 +97,10 @@ def summarise(planned: Plan, settings: Mapping[str, Any], out: Path, failed: Map
     return facts
 
 
-def gather(planned: Plan, cars: Sequence[str], laps: int) -> dict[str, pd.DataFrame]:
+def gather(planned: Plan, laps: int) -> dict[str, pd.DataFrame]:
     """Return the tables of what the finished jobs measured, by file."""
     turning = {sweep.name for sweep in planned.sweeps if "turn_in" in sweep.metrics}
-    measured = {
-        job.name: (measure(job, cars, laps), learning(job), arrivals(job, cars)) for job in planned.jobs if job.done
-    }
+    measured = {job.name: (measure(job, laps), learning(job), arrivals(job)) for job in planned.jobs if job.done}
     rows: list[dict[str, Any]] = []
     trainings: list[dict[str, Any]] = []
     curves, steering = [], []
@@ -115,7 +113,9 @@ def gather(planned: Plan, cars: Sequence[str], laps: int) -> dict[str, pd.DataFr
         trainings.append({**where, "reward": final_reward(curve), **arrived, "job": job.path.name})
         curves.append(_thinned(curve).assign(**where))
         if sweep in turning:
-            steering += [usual_steering(job, car).assign(**where, car=car) for car in cars]
+            steering += [
+                usual_steering(job, policy, car).assign(**where, policy=policy, car=car) for policy, car in job.races
+            ]
     return {
         LAPS: pd.DataFrame(rows, columns=["sweep", "arm", "seed", *LAP]),
         TRAININGS: pd.DataFrame(trainings).astype({"reward": float}),  # of what is not trained, none
@@ -129,29 +129,43 @@ def results(
 ) -> dict[str, Any]:
     """Return every arm's metrics with intervals and every claim's verdict; a fixed generator, so that it repeats.
 
-    A `trial` has no verdicts.
+    Where trainings end with a refinement, their policies as they were learned and refined have rows and verdicts of
+    their own. A `trial` has no verdicts.
     """
     rows, claims = [], []
     for sweep in sweeps:
         mine, trained = laps[laps["sweep"] == sweep.name], trainings[trainings["sweep"] == sweep.name]
-        samples: dict[str, Samples] = {
-            car: resample(mine[mine["car"] == car], trained, np.random.default_rng(0)) for car in cars if len(mine)
-        }
-        rows += [
-            {
-                "sweep": sweep.name,
-                "arm": arm,
-                "car": car,
-                "trainings": int(trained[trained["arm"] == arm]["reward"].notna().sum()),
-                **_metrics(part, arm),
-            }
-            for car, part in samples.items()
-            for arm in sweep.arms
-            if arm in part.per_seed
-        ]
-        claims += [judge(claim, sweep, samples, trial) for claim in sweep.claims]
+        policies = [policy for policy in (LEARNED, REFINED) if policy in set(mine["policy"])] or [""]
+        for policy in policies:
+            own = set(mine[mine["policy"] == policy]["arm"])
+            samples = _samples(of_policy(mine, policy), trained, cars)
+            rows += [
+                {
+                    "sweep": sweep.name,
+                    "arm": arm,
+                    "policy": policy if arm in own else "",
+                    "car": car,
+                    "trainings": int(trained[trained["arm"] == arm]["reward"].notna().sum()),
+                    **_metrics(part, arm),
+                }
+                for car, part in samples.items()
+                for arm in sweep.arms
+                if arm in part.per_seed and (arm in own or policy == policies[0])
+            ]
+            claims += [{"policy": policy, **judge(claim, sweep, samples, trial)} for claim in sweep.claims]
     questions = [{"sweep": s.name, "question": s.question, "metrics": list(s.metrics)} for s in sweeps]
     return {"sweeps": questions, "arms": rows, "claims": sorted(claims, key=lambda claim: claim["claim"])}
+
+
+def _samples(laps: pd.DataFrame, trained: pd.DataFrame, cars: Sequence[str]) -> dict[str, Samples]:
+    """Return the samples in every car; none without laps."""
+    return {car: resample(laps[laps["car"] == car], trained, np.random.default_rng(0)) for car in cars if len(laps)}
+
+
+def of_policy(laps: pd.DataFrame, policy: str) -> pd.DataFrame:
+    """Return the laps of all arms' policies of a kind; of arms that have none of it, all laps."""
+    has = set(laps[laps["policy"] == policy]["arm"])
+    return laps[(laps["policy"] == policy) | ~laps["arm"].isin(has)]
 
 
 def _metrics(samples: Samples, arm: str) -> dict[str, Any]:

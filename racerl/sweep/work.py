@@ -30,7 +30,7 @@ GRACE = 6.0  # s, in which a job that is asked to end must have
 
 
 def work(
-    name: str, path: str, settings: Mapping[str, Any] | None, races: Mapping[str, Race], owner: str | None
+    name: str, path: str, settings: Mapping[str, Any] | None, races: Mapping[tuple[str, str], Race], owner: str | None
 ) -> None:
     """Finish a job in its folder, from wherever an earlier process left it.
 
@@ -77,16 +77,16 @@ def _finish(job: Job) -> None:
     before = 0.0 if job.train is None else TRAINING
     each = (1.0 - before) / len(job.races)
 
-    def racing(number: int, car: str, share: float, remark: str) -> None:
-        tell(before + each * (number + share), f"racing ({car}), {remark}")
+    def racing(number: int, what: str, share: float, remark: str) -> None:
+        tell(before + each * (number + share), f"racing ({what}), {remark}")
 
-    for number, (car, asked) in enumerate(job.races.items()):
-        _race(asked, job.race(car), partial(racing, number, car))
+    for number, ((policy, car), asked) in enumerate(job.races.items()):
+        _race(asked, job.race(policy, car), partial(racing, number, f"{policy}, {car}" if policy else car))
     tell(1.0, "done")
 
 
 def _race(asked: Race, out: Path, tell: Callable[[float, str], None]) -> None:
-    """Finish the race in one car, after the drive that it scores, if it does."""
+    """Finish one race, after the drive that it scores, if it does."""
     tell(0.0, "getting ready")
     if asked.record is not None and not is_complete(Path(asked.record["out"])):
         record(asked.record, Path(asked.record["out"]), lambda share: tell(share, "being driven"))

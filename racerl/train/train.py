@@ -11,7 +11,7 @@ from typing import Any
 
 from racerl import bounds
 from racerl.assemble import check_settings, choose_device, use_threads
-from racerl.control.policy import FACTS, load_policy, save_policy
+from racerl.control.policy import FACTS, UNREFINED, load_policy, save_policy
 from racerl.documents import read_json
 from racerl.errors import ConfigError, Diverged, RunError
 from racerl.registry import construct
@@ -22,8 +22,6 @@ from racerl.train.checkpoint import discard
 from racerl.train.refinement import FILE as REFINING
 from racerl.train.refinement import Refinement, refine
 from racerl.train.session import Progress, Session
-
-UNREFINED = "unrefined"  # folder of the policy as it was before the refinement
 
 
 def train(

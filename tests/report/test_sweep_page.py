@@ -2,6 +2,7 @@
 
 import json
 import re
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -29,8 +30,11 @@ def few_resamples():
         yield
 
 
-def swept(folder: Path, trial: int | None = None, seeds: int = 3) -> Path:
-    """Leave the files of a sweep of three ablations whose laps are known; the arm without_actuators has failed."""
+def swept(folder: Path, trial: int | None = None, seeds: int = 3, policies=("learned",)) -> Path:
+    """Leave the files of a sweep of three ablations whose laps are known; the arm without_actuators has failed.
+
+    Refined policies of `speed` leave the track, as they were learned they don't.
+    """
     RunFolder.start(folder, "sweep", {}, threads=1)
     generator = np.random.default_rng(0)
     laps, trainings, curves, steering = [], [], [], []
@@ -44,13 +48,16 @@ def swept(folder: Path, trial: int | None = None, seeds: int = 3) -> Path:
                     {**where, "reward": 0.9 / TIMES[arm] + 0.001 * seed, "job": f"{arm}-{seed}-{job}{seed}"}
                 )
                 curves.append(pd.DataFrame({**where, "steps": [1e6, 2e6], "reward": [0.1, 0.9 / TIMES[arm]]}))
-                for car in ("model", "twin"):
+                for policy, car in product(policies, ("model", "twin")):
+                    raced = {**where, "policy": policy, "car": car}
                     if "turn_in" in sweep.metrics:
-                        steering.append(pd.DataFrame({**where, "car": car, "s_m": [0.0, 1.0], "delta_rad": [0.0, 0.1]}))
+                        steering.append(pd.DataFrame({**raced, "s_m": [0.0, 1.0], "delta_rad": [0.0, 0.1]}))
                     for number in range(4):
                         measures = dict.fromkeys(MEASURES, 0.0) | {"valid": True, "crashed": False}
+                        if policy == "refined" and arm == "speed":
+                            measures |= {"off_track_m": generator.uniform(0.3, 0.5), "valid": (seed + number) % 7 == 0}
                         time = TIMES[arm] + generator.normal(0.0, 0.02)
-                        laps.append({**where, "car": car, "start": 0, "number": number, **measures, "time_s": time})
+                        laps.append({**raced, "start": 0, "number": number, **measures, "time_s": time})
     tables = {LAPS: pd.DataFrame(laps), TRAININGS: pd.DataFrame(trainings)}
     tables |= {LEARNING: pd.concat(curves), STEERING: pd.concat(steering)}
     for name, table in tables.items():
@@ -93,7 +100,7 @@ def test_a_claim_is_a_sentence_with_its_interval_and_the_formula_is_folded(page)
 def test_no_zero_is_drawn_out_and_every_column_has_a_unit(page):
     assert "0.00000" not in page
     heads = re.findall("<th[^>]*>([^<]*)</th>", page)
-    assert {head for head in heads if "[" not in head} == {"arm", "car", "trainings"}
+    assert {head for head in heads if "[" not in head} == {"arm", "car", "trainings", "claim", "says", "verdict"}
 
 
 def test_one_arm_has_one_colour_in_every_figure(folder):
@@ -117,6 +124,24 @@ def test_a_trial_has_a_banner_and_no_verdict(tmp_path):
     assert '<p class="warning">Trial budget: trainings of 2,048 control steps' in page
     shown = page.partition("<h3>")[2].partition('<p class="note">')[0]
     assert not re.search("supported|refuted|undecided|as claimed", shown, re.IGNORECASE) and "no verdict" in shown
+
+
+def test_a_claim_that_holds_for_refined_policies_alone_says_so(tmp_path, page):
+    folder = swept(tmp_path / "both", policies=("learned", "refined"))
+    facts = json.loads((folder / RESULTS).read_text())
+    both = draw_sweep(folder).read_text()
+    assert headline(facts) == "As learned: 0 supported, 1 refuted, 1 undecided, 2 not tested; " + (
+        "refined: 1 supported, 1 refuted, 0 undecided, 2 not tested"
+    )
+    rows = re.findall(r"<tr><td>(\d+)</td><td>[^<]*</td>(.*?)</tr>", both)
+    verdicts = {int(claim): re.findall("<b>(.*?)</b>", cells) for claim, cells in rows}
+    assert (
+        verdicts[4] == ["refuted", "refuted"]
+        and verdicts[5][0].startswith("undecided")
+        and verdicts[5][1] == "supported"
+    )
+    assert "Policies refined: supported" in both and "Policies" not in page
+    assert (folder / "turn_in_learned.svg").is_file() and (folder / "turn_in_refined.svg").is_file()
 
 
 def test_one_training_decides_nothing(tmp_path):

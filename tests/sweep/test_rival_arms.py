@@ -48,7 +48,7 @@ def test_there_is_one_job_for_all_seeds(planned):
 
 
 def test_their_laps_stand_beside_those_of_policies(planned):
-    tables = gather(planned, SETTINGS["cars"], SETTINGS["laps"])
+    tables = gather(planned, SETTINGS["laps"])
     laps = tables[LAPS]
     assert laps["number"].max() == 1  # a recorded driver goes on, what counts ends
     human = laps[laps["arm"] == "human"]
@@ -88,10 +88,10 @@ def test_rivals_race_in_the_world_of_the_others(tmp_path):
     published, jetracer = (
         compose_settings("train", [f"vehicle={name}"])["vehicle"] for name in ("published", "jetracer")
     )
-    assert jobs["mpc"].races["twin"].settings["vehicle"] == published
-    assert jobs["mpc"].races["model"].settings["sim"]["step"] == 0.005
-    assert jobs["like"].races["model"].record["vehicle"]["mass"] == jetracer["mass"]  # its own word counts
-    assert jobs["human"].races["model"].settings["track"] is not None
+    assert jobs["mpc"].races["", "twin"].settings["vehicle"] == published
+    assert jobs["mpc"].races["", "model"].settings["sim"]["step"] == 0.005
+    assert jobs["like"].races["", "model"].record["vehicle"]["mass"] == jetracer["mass"]  # its own word counts
+    assert jobs["human"].races["", "model"].settings["track"] is not None
     again = {job.name: job for job in plan([sweep], SETTINGS, tmp_path, compose_settings).jobs}
     assert again["mpc"].path != jobs["mpc"].path and again["human"].path == jobs["human"].path
 
@@ -122,7 +122,7 @@ def test_a_race_tells_its_laps(planned, tmp_path, monkeypatch):
     monkeypatch.setattr(stage, "write_json", lambda path, facts: told.append((path, facts)))
     for name in ("pursuit", "human_like"):
         job = next(job for job in planned.jobs if job.name == name)
-        races = {car: move(asked, tmp_path / name / car) for car, asked in job.races.items()}
+        races = {place: move(asked, tmp_path.joinpath(name, *place)) for place, asked in job.races.items()}
         work(name, str(tmp_path / name), None, races, None)
     shares = [facts["share"] for path, facts in told if path == tmp_path / "pursuit" / stage.STATE]
     remarks = {facts["remark"] for _, facts in told}

@@ -175,10 +175,9 @@ def test_a_policy_arrives_with_its_first_examination_that_is_near_enough_and_wit
         for second, lap, crashed in examined
     ]
     (trained / "progress.jsonl").write_text("".join(json.dumps(line) + "\n" for line in [{"steps": 1}, *lines]))
-    job = SimpleNamespace(race=lambda car: raced, trained=trained, train={})
-    found = arrivals(job, ["twin", "model"])
+    cars = {("learned", "twin"): None, ("learned", "model"): None}
+    job = SimpleNamespace(race=lambda policy, car: raced, trained=trained, train={}, races=cars)
+    found = arrivals(job)
     assert found["to_10"] == 30.0 and found["to_3"] == 50.0 and math.isnan(found["to_2"])
-    assert all(math.isnan(seconds) for seconds in arrivals(job, ["twin"]).values())
-    assert all(
-        math.isnan(seconds) for seconds in arrivals(SimpleNamespace(**{**vars(job), "train": None}), ["model"]).values()
-    )
+    for change in ({"races": {("learned", "twin"): None}}, {"train": None}):
+        assert all(math.isnan(seconds) for seconds in arrivals(SimpleNamespace(**{**vars(job), **change})).values())

@@ -4,13 +4,13 @@ import pytest
 import torch
 
 from racerl.config import compose_settings
-from racerl.control.policy import load_policy, save_policy
+from racerl.control.policy import UNREFINED, load_policy, save_policy
 from racerl.documents import read_json
 from racerl.errors import ConfigError, PolicyError, RunError
 from racerl.evaluate.evaluate import evaluate, label
 from racerl.run import RunFolder
 from racerl.train.onward import train_onward
-from racerl.train.train import UNREFINED, train
+from racerl.train.train import train
 from tests.train.short import refinement
 
 

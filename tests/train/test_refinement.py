@@ -9,13 +9,14 @@ import torch
 
 from racerl.assemble import build_race
 from racerl.config import compose_settings
-from racerl.control.policy import build_network, load_policy
+from racerl.control.policy import UNREFINED, build_network, load_policy
 from racerl.errors import ConfigError, RunError
+from racerl.evaluate.evaluate import evaluate
 from racerl.train import session
 from racerl.train import train as training
 from racerl.train.checkpoint import recover
 from racerl.train.refinement import FILE, Refinement, Search
-from racerl.train.train import UNREFINED, train
+from racerl.train.train import train
 from tests.train.pulled import logged
 from tests.train.short import refinement
 
@@ -170,6 +171,13 @@ def test_the_policy_before_it_is_kept(tmp_path):
     assert all(torch.equal(before[name], alone[name]) for name in alone)
     assert facts["refined"] == 2 and "refined" not in plain
     assert facts["steps"] == plain["steps"] + 2 * 16 * (2 * 20 + 5)
+    words = ["laps=1", "seeds=[0]"]
+    raced, other = (
+        evaluate(compose_settings("evaluate", [f"run='{run}'", *words]), tmp_path / name)
+        for run, name in ((tmp_path / "run" / UNREFINED, "raced"), (tmp_path / "plain", "other"))
+    )
+    assert raced["label"] == other["label"] and raced["rows"] == other["rows"]
+    assert raced["trained"]["steps"] == plain["steps"] and 0.0 < raced["trained"]["seconds"] < facts["seconds"]
 
 
 def test_a_damaged_checkpoint_is_one_line(tmp_path):
