@@ -20,7 +20,7 @@ from racerl.errors import ConfigError
 from racerl.registry import construct
 from racerl.track.load import load_track
 from racerl.track.track import Track
-from racerl.vehicle.load import load_vehicle
+from racerl.vehicle.load import load_vehicle, vehicle_document
 from racerl.vehicle.vehicle import Vehicle
 
 Settings = Mapping[str, Any]
@@ -52,17 +52,22 @@ class Car:
     model: Mapping[str, Any] = field(default_factory=dict)  # the vehicle that `vehicle` was measured beside
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)  # added to the vehicle's own
     drift: Mapping[str, Any] = field(default_factory=dict)  # a randomization, of what changes from lap to lap
+    grip: float = 1.0  # of the floor, as a share of the vehicle's friction
     estimate: Mapping[str, float] = field(default_factory=dict)  # noise of what the driver sees, deviation per state
     sensors: Mapping[str, float] = field(default_factory=dict)  # noise of what is recorded
 
     def __post_init__(self) -> None:
         check_estimate("car.estimate", self.estimate)
+        bounds.number("car.grip", self.grip, 0.1, 10.0)
 
     def wear(self, vehicle: Settings) -> dict[str, Any]:
         """Return the settings of the vehicle that this car is; any but `model` keeps its numbers."""
         effects = {**(vehicle.get("effects") or {}), **self.effects}
         if self.model and _numbers(vehicle) == _numbers(self.model):
             vehicle, effects = self.vehicle, {**(self.vehicle.get("effects") or {}), **effects}
+        if self.grip != 1.0:
+            vehicle = vehicle_document(vehicle, {}, "wheel_speed")
+            vehicle["friction"] = self.grip * vehicle.get("friction", 1.0)
         return {**vehicle, "effects": effects}
 
 

@@ -1,7 +1,8 @@
 """Configurations: Hydra composes `conf/`, and what it composes leaves here as a plain mapping.
 
-A `./conf` beside the user shadows the packaged files. Overrides are Hydra's, with three conveniences: `+dr=X` and
-`dr=X` mean the same, `track=` and `vehicle=` also take a file, and a run folder may be given without its key.
+A `./conf` beside the user shadows the packaged files. Overrides are Hydra's, with some conveniences: `+dr=X` and
+`dr=X` mean the same, `track=` and `vehicle=` also take a file, `dr=posterior:RUN` takes a run, and a run folder may be
+given without its key.
 """
 
 import difflib
@@ -36,13 +37,21 @@ FILE_GROUPS = {"track": (".csv", ".yaml", ".yml"), "vehicle": (".yaml", ".yml"),
 # where the words are others
 SPOKEN = {"race": "evaluate", "refine": "train", "compare": "report compare", "close": "gap close"}
 # keys that must be given, as a user gives them
-ASKED = {"logs": "LOG…", "run": "RUN", "real": "LOG… real=FILE", "name": "SWEEP", "from": "from=RUN"}
+ASKED = {
+    "logs": "LOG…",
+    "run": "RUN",
+    "real": "LOG… real=FILE",
+    "name": "SWEEP",
+    "from": "from=RUN",
+    "dr.cars": "dr=posterior:RUN",
+}
 PATHS = {  # positional keys that name files or folders, and what is allowed
     "logs": "drive logs: CSV, Parquet or a bag",
     "run": "a training run, a drive log, paper:rl or paper:human",
     "runs": "finished runs",
     "drivers": "finished evaluate, drive or train runs, paper:rl or paper:human",
 }
+POSTERIOR = "posterior:"  # in front of a run, as dr=posterior:RUN
 PAPER = "paper:"  # in place of a path: the paper's own laps
 VALUED = ("--cfg", "-c", "--info", "-i", "--package", "-p", "--config-dir", "-cd", "--config-name", "-cn")
 OPTIONS = (*VALUED, "--multirun", "-m", "--resolve", "--hydra-help", "--help")
@@ -222,7 +231,10 @@ def _rewrite_override(word: str, groups: set[str], filed: Collection[str]) -> It
         return
     if group in groups and value == "null":
         raise ConfigError(f"{word}: a choice of conf/{group} is expected; leave the word out for the usual one")
-    if group in FILE_GROUPS and _names_file(word, group):
+    if group == "dr" and value.startswith(POSTERIOR):
+        yield "dr=posterior"
+        yield f"dr.cars={quote(value.removeprefix(POSTERIOR))}"
+    elif group in FILE_GROUPS and _names_file(word, group):
         _require_file(group, value)
         yield f"{group}=file"
         yield f"{group}.file={quote(value)}"

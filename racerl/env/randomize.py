@@ -3,13 +3,18 @@
 With `each_lap` it is drawn anew at every crossing of the line, too: a floor and tyres that change from lap to lap.
 
 Parameters are chosen by dotted name or pattern (`friction`, `*.p_Ky1`). Draws are kept inside the physical bounds.
+`cars` names a run whose cars are drawn from: what `racerl identify` or `racerl gap` leaves possible, whole cars, so
+that what is correlated stays so. What else is chosen is multiplied on top.
+
 Noise, of what the driver sees and of what it does, is drawn at every control step.
 """
 
 import fnmatch
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -18,6 +23,7 @@ from racerl.env.chosen import Chosen
 from racerl.env.dice import Dice
 from racerl.env.sensing import check_estimate
 from racerl.errors import ConfigError, suggest
+from racerl.vehicle.cars import read_cars
 from racerl.vehicle.parameter import specifications, values
 from racerl.vehicle.vehicle import Vehicle
 
@@ -31,6 +37,7 @@ class Randomization:
     each_lap: bool = False
     estimate: Mapping[str, float] = field(default_factory=dict)  # noise of what the driver sees, deviation per state
     actions: float = 0.0  # noise of the actions, deviation in their scale of ± 1
+    cars: str = ""  # a run of racerl identify or racerl gap, whose cars are drawn from
 
     def __post_init__(self) -> None:
         check_estimate("dr.estimate", self.estimate)
@@ -38,6 +45,8 @@ class Randomization:
         if not isinstance(self.sigma, (int, float)) or not 0.0 <= self.sigma <= 1.0:
             raise ConfigError(f"dr.sigma = {self.sigma}: allowed is 0 … 1 (a share of each value)")
 
+        if not isinstance(self.cars, str) or "\0" in self.cars:
+            raise ConfigError(f"dr.cars = {self.cars!r}: a run folder is expected, as in dr=posterior:RUN")
         if not isinstance(self.parameters, list | tuple) or not all(isinstance(name, str) for name in self.parameters):
             raise ConfigError(f"dr.parameters = {self.parameters}: a list of parameter names or patterns is expected")
 
@@ -59,8 +68,9 @@ class ParameterDraws:
     def __init__(
         self, vehicle: Vehicle, randomization: Randomization, count: int, device: torch.device, dtype: torch.dtype
     ) -> None:
-        self.sigma = randomization.sigma
-        self.names = randomization.names(vehicle) if self.sigma > 0 else []
+        scaled = randomization.names(vehicle) if randomization.sigma > 0 else []
+        possible = read_cars(Path(randomization.cars), vehicle) if randomization.cars else {}
+        self.names = [*possible, *(name for name in scaled if name not in possible)]
         nominal, bounds = values(vehicle), specifications(vehicle)
 
         def column(numbers: Sequence[float]) -> Tensor:
@@ -69,6 +79,9 @@ class ParameterDraws:
         self._nominal = column([float(nominal[name]) for name in self.names])
         self._low = column([bounds[name].low for name in self.names])
         self._high = column([bounds[name].high for name in self.names])
+        self._sigma = column([randomization.sigma * (name in scaled) for name in self.names])
+        table = np.array(list(possible.values()))
+        self._cars = torch.tensor(table, device=device, dtype=dtype) if possible else None  # (Q, K)
         self.values = self._nominal.expand(-1, count).clone()  # (P, N)
 
     def draw(self, chosen: Chosen, dice: Dice) -> None:
@@ -76,6 +89,10 @@ class ParameterDraws:
         cars = chosen.cars
         if not self.names or not len(cars):
             return
+        base = self._nominal
+        if self._cars is not None:
+            which = (dice.uniform(1, cars)[0] * self._cars.shape[1]).long()
+            base = torch.cat([self._cars[:, which], base[len(self._cars) :].expand(-1, len(cars))])
         noise = dice.normal(len(self.names), cars)
-        fresh = (self._nominal * (1.0 + self.sigma * noise)).clamp(self._low, self._high)
+        fresh = (base * (1.0 + self._sigma * noise)).clamp(self._low, self._high)
         self.values = chosen.put(self.values, fresh)

@@ -132,7 +132,8 @@ def label(settings: Mapping[str, Any]) -> str:
     parts = [settings["obs"]["name"], settings["action"]["name"]]
     dr = construct(Randomization, settings["dr"], "dr")
     kind = dr.parameters[0] if len(dr.parameters) == 1 else "all" if dr.parameters else ""
-    parts.append(f"{kind} σ = {dr.sigma:g}" if dr.sigma else "no randomization")
+    parts += ["identified cars"] if dr.cars else []
+    parts += [f"{kind} σ = {dr.sigma:g}"] if dr.sigma else [] if dr.cars else ["no randomization"]
     if dr.actions or any(dr.estimate.values()):
         parts.append("noise")
     if not settings["sim"]["actuators"]:

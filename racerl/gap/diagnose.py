@@ -31,12 +31,13 @@ from racerl.gap.numbers import as_configured, wrong_numbers
 from racerl.gap.progress import OnProgress, silent, within
 from racerl.gap.prove import prove
 from racerl.gap.stage import CHAIN, Stage, stages
-from racerl.gap.uncertainty import FAR, deviations, intervals, moved
+from racerl.gap.uncertainty import FAR, deviations, intervals, moved, possible_cars
 from racerl.gap.verdict import CLAIMS, Verdict, judge, proved, separable
 from racerl.identify.document import write_model
 from racerl.identify.uncertainty import IDENTIFIED
 from racerl.run import RunFolder
 from racerl.vehicle import catalogue
+from racerl.vehicle.cars import write_cars
 from racerl.vehicle.load import load_vehicle, vehicle_document
 from racerl.vehicle.parameter import specifications, values
 from racerl.vehicle.vehicle import Vehicle
@@ -85,6 +86,9 @@ def gap(settings: Mapping[str, Any], out: Path, on_progress: OnProgress = silent
         if shape_of(found):
             facts["remarks"].append(f"the tyres have another shape than their formula's: {MODEL} has it ({SHAPE})")
         _write_vehicle(folder.path / MODEL, settings, facts, investigation, found)
+        if found.problem.names:
+            cars = possible_cars(investigation, found, settings["seed"])
+            write_cars(folder.path, found.vehicle, found.problem.names, cars)
         _write_vehicle(folder.path / MODEL_BEFORE, settings, facts, investigation, investigation.base)
     write_json(folder.path / VERDICT, facts)
     folder.finish(seconds=round(time.perf_counter() - began, 2))

@@ -4,14 +4,18 @@ import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from racerl.gap.catalogue import PLACE, neutral, placed
 from racerl.gap.checkpoint import Parts
 from racerl.gap.fitted_model import COG, FittedModel
 from racerl.gap.folds import blocks
 from racerl.gap.investigation import Investigation
+from racerl.vehicle.cars import normal_cars
 from racerl.vehicle.vehicle import Vehicle
 
+Array = NDArray[np.float64]
+CARS = 1000  # that are drawn from what a fit leaves possible
 FAR = 2.0  # prior deviations, beyond which a refitted parameter is a clue in itself
 FORM = 0.05  # deviation, as a share, between the parameters of an effect's forms where it has many (development logs)
 EXACT = 0.01  # the same, where it has one
@@ -24,8 +28,7 @@ def deviations(investigation: Investigation, found: FittedModel) -> dict[str, fl
     """
 
     def variances() -> Parts:
-        alike = [blocks(investigation.evidence[name]) for name in found.cost]
-        return {"variances": np.diag(found.problem.covariance(found.fit, alike))}
+        return {"variances": np.diag(_covariance(investigation, found))}
 
     checkpoint = investigation.checkpoint
     parts = checkpoint.recall(checkpoint.key("variances", found.key), variances)
@@ -33,6 +36,16 @@ def deviations(investigation: Investigation, found: FittedModel) -> dict[str, fl
     known = dict(zip(found.problem.names, found_deviations, strict=True))
     offset, weighed = f"effects.{COG}.offset", {u.name: u.sigma for u in investigation.unknowns}.get("l_f", 0.0)
     return {**known, offset: float(np.hypot(known[offset], weighed))} if offset in known else known
+
+
+def _covariance(investigation: Investigation, found: FittedModel) -> Array:
+    return found.problem.covariance(found.fit, [blocks(investigation.evidence[name]) for name in found.cost])
+
+
+def possible_cars(investigation: Investigation, found: FittedModel, seed: int) -> Array:
+    """Return cars (K, P) that the logs leave possible, in the order of the fit's parameters."""
+    mean = np.array([found.theta[name] for name in found.problem.names])
+    return normal_cars(mean, _covariance(investigation, found), CARS, seed)
 
 
 def intervals(investigation: Investigation, found: FittedModel) -> dict[str, tuple[float, float, float]]:

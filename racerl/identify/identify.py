@@ -1,8 +1,9 @@
 """The identify stage: fit a vehicle to logs, say how sure the values are, and score it on runs it has not seen.
 
 Writes `model.yaml` (the vehicle, fitted to all runs), `identification.json` (values, intervals, what is not separable,
-held-out errors, and the verdict: whether the car is usable, and why), and `overlay.parquet` and `tyres.parquet`, which
-the report draws. With `fit=false` the vehicle is only scored: no `model.yaml`, and the errors are the given vehicle's.
+held-out errors, and the verdict: whether the car is usable, and why), `cars.parquet` (cars that the logs leave
+possible), and `overlay.parquet` and `tyres.parquet`, which the report draws. With `fit=false` the vehicle is only
+scored: no `model.yaml`, and the errors are the given vehicle's.
 """
 
 import re
@@ -35,6 +36,7 @@ from racerl.identify.verdict import judge
 from racerl.identify.windows import INPUTS, Wiring, choose_wiring
 from racerl.identify.work import Progress, Work
 from racerl.run import RunFolder
+from racerl.vehicle.cars import write_cars
 from racerl.vehicle.load import load_vehicle
 from racerl.vehicle.parameter import replace_values, values
 from racerl.vehicle.rollout import Equations, Rollout, fastest_rate
@@ -91,7 +93,7 @@ def identify(
     else:
         solution, held_out = _solve(task, scored, settings, on_progress)
         uncertainty = solution.uncertainty(task, settings["seed"])
-        theta, draws = solution.fit.point.theta, uncertainty.draws[:DRAWS]
+        theta, draws = solution.fit.point.theta, uncertainty.draws
         facts |= {**held_out, **_result(task, solution, uncertainty)}
         facts["warnings"] += _fit_warnings(facts)
     facts["warnings"] += _stiffness_warnings(scored, theta)
@@ -100,8 +102,9 @@ def identify(
     facts["residuals"] = {"unfitted": scored.histogram(start), "fitted": scored.histogram(theta)}
     if task is not None:
         write_model(folder.path / MODEL, settings["vehicle"], dict(zip(rollout.names, theta, strict=True)), facts)
+        write_cars(folder.path, vehicle, rollout.names, draws)
     write_parquet(folder.path / OVERLAY, scored.overlay(start, theta))
-    write_parquet(folder.path / TYRES, tyre_curves(vehicle, rollout.names, theta, draws))
+    write_parquet(folder.path / TYRES, tyre_curves(vehicle, rollout.names, theta, draws[:DRAWS]))
     write_json(folder.path / RESULT, facts)
     folder.finish(seconds=round(time.perf_counter() - began, 2))
     return facts

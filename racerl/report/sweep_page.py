@@ -19,7 +19,7 @@ from racerl.report.page import figure, interval, number, provenance, write_page
 from racerl.report.subjects import Evaluation, find_subjects
 from racerl.run import RunFolder
 from racerl.sweep.conclusions import POLICIES, banner, headline, numbered, of, policies
-from racerl.sweep.definition import METRICS, OF_TRAINING
+from racerl.sweep.definition import METRICS, OF_TRAINING, TWIN
 from racerl.sweep.statistics import told
 from racerl.sweep.sweep import LAPS, LEARNING, RESULTS, STEERING, TRAININGS, of_policy
 
@@ -91,6 +91,7 @@ def section(run: Path, out: Path) -> dict[str, Any]:
             "banner": banner(found.facts),
             "policies": [POLICIES[policy] for policy in found.policies] if len(found.policies) > 1 else [""],
             "claims": [_claim(same) for same in numbered(found.facts["claims"]).values()],
+            "sensitivity": _sensitivity(found.facts),
             "tables": [_table(found, sweep) for sweep in found.facts["sweeps"]],
             "table_1": _table_1(found),
             "figures": [
@@ -226,6 +227,28 @@ def _claim(same: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         for claim in same
     ]
     return {"claim": same[0]["claim"], "says": same[0]["says"], "judged": judged}
+
+
+def _sensitivity(facts: dict[str, Any]) -> dict[str, Any]:
+    """Return the claims' verdicts with the twin and with other cars in its place; a verdict that turns is marked."""
+    others = facts.get("in_other_twins", [])
+    cars = list(dict.fromkeys(row["car"] for row in others))
+    judged = {(row["claim"], of(row), row["car"]): row["verdict"] or "no verdict" for row in others}
+    rows = []
+    for claim in facts["claims"]:
+        number, policy = claim["claim"], of(claim)
+        if (number, policy, cars[0] if cars else "") not in judged:
+            continue
+        own = claim["verdict"] or "no verdict"
+        there = [judged[number, policy, car] for car in cars]
+        rows.append(
+            {
+                "claim": ", ".join(filter(None, (str(number), POLICIES[policy] if len(policies(others)) > 1 else ""))),
+                "own": own,
+                "cells": [{"verdict": each, "turns": each != own} for each in there],
+            }
+        )
+    return {"cars": [_words(car).removeprefix(f"{TWIN} ") for car in cars], "rows": rows}
 
 
 def _test(test: dict[str, Any]) -> dict[str, Any]:

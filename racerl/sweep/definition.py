@@ -4,7 +4,7 @@ The runner and the report read the same file. A `./sweeps` beside the user comes
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,8 @@ class Metric:
         return f"{self.name} [{self.unit}]"
 
 
+TWIN = "twin"
+LISTING = ("question", "sweeps", "twins")  # keys of a file that stands for several sweeps
 ARRIVALS = (10, 5, 3, 2)  # % over the time-optimal lap, that a training's examination comes down to
 METRICS = {
     "lap_time": Metric("mean lap", "s"),
@@ -55,7 +57,7 @@ class Comparison:
     metric: str
     contrast: Mapping[str, float] = field(default_factory=dict)
     slope: Mapping[str, float] = field(default_factory=dict)
-    car: str = "twin"
+    car: str = TWIN
     relative_to: str | None = None
     above: float | None = None
     below: float | None = None
@@ -125,6 +127,7 @@ class Sweep:
     seeds: tuple[int, ...]
     metrics: tuple[str, ...]
     claims: tuple[Claim, ...]
+    twins: tuple[str, ...] = ()  # cars in whose place of the twin its claims are judged, too
 
 
 def folder() -> Path:
@@ -142,8 +145,11 @@ def read_sweeps(name: str) -> list[Sweep]:
     content = read_yaml(_path(name))
     if "sweeps" not in content:
         return [_sweep(name, content)]
-    listed = _words(name, "sweeps", content["sweeps"])
-    return [_sweep(each, read_yaml(_path(each))) for each in listed]
+    for key in content:
+        if key not in LISTING:
+            raise ConfigError(f"sweeps/{name}.yaml: unknown key '{key}'{suggest(key, LISTING)}")
+    listed, twins = _words(name, "sweeps", content["sweeps"]), tuple(_words(name, "twins", content.get("twins", [])))
+    return [replace(_sweep(each, read_yaml(_path(each))), twins=twins) for each in listed]
 
 
 def _path(name: str) -> Path:
@@ -154,7 +160,7 @@ def _path(name: str) -> Path:
 
 
 def _sweep(name: str, content: Mapping[str, Any]) -> Sweep:
-    known = ("question", "base", "arms", "seeds", "metrics", "claims")
+    known = ("question", "base", "arms", "seeds", "metrics", "claims", "twins")
     for key in content:
         if key not in known:
             raise ConfigError(f"sweeps/{name}.yaml: unknown key '{key}'{suggest(key, known)}")
@@ -172,6 +178,7 @@ def _sweep(name: str, content: Mapping[str, Any]) -> Sweep:
         seeds=tuple(bounds.wholes("seeds", content["seeds"], 0, 2**31 - 1)),
         metrics=tuple(_words(name, "metrics", content["metrics"])),
         claims=tuple(_claims(name, content.get("claims") or {})),
+        twins=tuple(_words(name, "twins", content.get("twins", []))),
     )
     for metric in sweep.metrics:
         if metric not in METRICS:

@@ -17,7 +17,7 @@ from racerl import bounds
 from racerl.documents import read_json, write_json, write_text
 from racerl.errors import ConfigError, RunError
 from racerl.run import MANIFEST, Compose, RunFolder
-from racerl.sweep.definition import Sweep, read_sweeps
+from racerl.sweep.definition import TWIN, Sweep, read_sweeps
 from racerl.sweep.engine import LOGS, Engine, Status, alone
 from racerl.sweep.jobs import LEARNED, REFINED, Plan, plan
 from racerl.sweep.measures import LAP, arrivals, final_reward, learning, measure, usual_steering
@@ -42,8 +42,9 @@ def sweep(
     """
     sweeps = read_sweeps(str(settings["name"]))
     check(settings)
-    settings = {**settings, "laps": flying_laps(sweeps, settings, compose)}
-    planned = plan(sweeps, settings, out, compose)
+    trial = _trial(sweeps, settings, compose)
+    settings = {**settings, "laps": flying_laps(settings, trial), "twins": _twins(sweeps, settings, trial)}
+    planned = plan(sweeps, {**settings, "cars": [*settings["cars"], *settings["twins"]]}, out, compose)
     engine = Engine(settings["engine"], settings["threads"], out)
     decisive = {key: value for key, value in settings.items() if key != "engine"}
     folder = RunFolder.start(out, "sweep", decisive, again=True, threads=settings["threads"])
@@ -60,13 +61,26 @@ def sweep(
     return facts
 
 
-def flying_laps(sweeps: Sequence[Sweep], settings: Mapping[str, Any], compose: Compose) -> int:
-    """Return the flying laps of each start: those asked for, else a few where every training is only a trial."""
+def _trial(sweeps: Sequence[Sweep], settings: Mapping[str, Any], compose: Compose) -> bool:
+    """Return whether every training is only a trial."""
+    words = [*map(str, settings["words"])]
+    return all(compose("train", [*sweep.base, *words])["budget"].get("trial") for sweep in sweeps)
+
+
+def flying_laps(settings: Mapping[str, Any], trial: bool) -> int:
+    """Return the flying laps of each start: those asked for, else a few in a trial."""
     if settings["laps"] is not None:
         return int(settings["laps"])
-    words = [*map(str, settings["words"])]
-    trial = all(compose("train", [*sweep.base, *words])["budget"].get("trial") for sweep in sweeps)
     return TRIAL_LAPS if trial else USUAL_LAPS
+
+
+def _twins(sweeps: Sequence[Sweep], settings: Mapping[str, Any], trial: bool) -> list[str]:
+    """Return the cars in whose place of the twin claims are judged, too: those asked for, else none in a trial."""
+    if settings["twins"] is not None:
+        return list(settings["twins"])
+    if trial or TWIN not in settings["cars"]:
+        return []
+    return list(dict.fromkeys(twin for sweep in sweeps for twin in sweep.twins))
 
 
 def check(settings: Mapping[str, Any]) -> None:
@@ -78,17 +92,25 @@ def check(settings: Mapping[str, Any]) -> None:
         bounds.wholes(key, settings[key], 0, 2**31 - 1)
     if not isinstance(settings["cars"], list) or not settings["cars"]:
         raise ConfigError(f"cars = {settings['cars']}: a list of names from conf/car is expected")
+    if not isinstance(settings["twins"], list | None):
+        raise ConfigError(f"twins = {settings['twins']}: a list of names from conf/car is expected")
 
 
 def summarise(planned: Plan, settings: Mapping[str, Any], out: Path, failed: Mapping[str, str]) -> dict[str, Any]:
     """Write what the finished jobs came to; return results.json."""
-    cars = list(settings["cars"])
     tables = gather(planned, settings["laps"])
     for name, table in tables.items():
         if not table.empty:
             write_text(out / name, table.to_csv(index=False, float_format="%.6g"))
     facts = {
-        **results(planned.sweeps, cars, tables[LAPS], tables[TRAININGS], planned.trial_steps is not None),
+        **results(
+            planned.sweeps,
+            settings["cars"],
+            tables[LAPS],
+            tables[TRAININGS],
+            planned.trial_steps is not None,
+            settings["twins"],
+        ),
         "trial_steps": planned.trial_steps,
         "jobs": {"planned": len(planned.jobs), "done": sum(job.done for job in planned.jobs)},
         "failed": dict(failed),
@@ -125,20 +147,26 @@ def gather(planned: Plan, laps: int) -> dict[str, pd.DataFrame]:
 
 
 def results(
-    sweeps: Sequence[Sweep], cars: Sequence[str], laps: pd.DataFrame, trainings: pd.DataFrame, trial: bool = False
+    sweeps: Sequence[Sweep],
+    cars: Sequence[str],
+    laps: pd.DataFrame,
+    trainings: pd.DataFrame,
+    trial: bool = False,
+    twins: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Return every arm's metrics with intervals and every claim's verdict; a fixed generator, so that it repeats.
 
     Where trainings end with a refinement, their policies as they were learned and refined have rows and verdicts of
-    their own. A `trial` has no verdicts.
+    their own. Claims about the twin are judged in each of `twins` in its place, too. A `trial` has no verdicts.
     """
-    rows, claims = [], []
+    rows, claims, elsewhere = [], [], []
     for sweep in sweeps:
         mine, trained = laps[laps["sweep"] == sweep.name], trainings[trainings["sweep"] == sweep.name]
         policies = [policy for policy in (LEARNED, REFINED) if policy in set(mine["policy"])] or [""]
         for policy in policies:
             own = set(mine[mine["policy"] == policy]["arm"])
-            samples = _samples(of_policy(mine, policy), trained, cars)
+            driven = of_policy(mine, policy)
+            samples = _samples(driven, trained, cars)
             rows += [
                 {
                     "sweep": sweep.name,
@@ -153,8 +181,14 @@ def results(
                 if arm in part.per_seed and (arm in own or policy == policies[0])
             ]
             claims += [{"policy": policy, **judge(claim, sweep, samples, trial)} for claim in sweep.claims]
+            about = [claim for claim in sweep.claims if any(test.car == TWIN for test in claim.tests)]
+            for twin in twins if about else ():
+                raced = _samples(driven, trained, [twin])
+                there = samples | ({TWIN: raced[twin]} if raced else {})
+                elsewhere += [{"policy": policy, "car": twin, **judge(claim, sweep, there, trial)} for claim in about]
     questions = [{"sweep": s.name, "question": s.question, "metrics": list(s.metrics)} for s in sweeps]
-    return {"sweeps": questions, "arms": rows, "claims": sorted(claims, key=lambda claim: claim["claim"])}
+    claims, elsewhere = (sorted(each, key=lambda claim: claim["claim"]) for each in (claims, elsewhere))
+    return {"sweeps": questions, "arms": rows, "claims": claims, "in_other_twins": elsewhere}
 
 
 def _samples(laps: pd.DataFrame, trained: pd.DataFrame, cars: Sequence[str]) -> dict[str, Samples]:

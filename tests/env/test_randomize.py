@@ -1,9 +1,11 @@
 """Domain randomization: the right parameters, the right spread, inside the bounds."""
 
+import numpy as np
 import pytest
 import torch
 
 from racerl.errors import ConfigError
+from racerl.vehicle.cars import write_cars
 from racerl.vehicle.parameter import specifications, values
 from tests.env.test_race import make
 
@@ -56,6 +58,25 @@ def test_randomized_friction_changes_the_drive():
         race.state = moved
     order = race.draws.values[0].argsort()
     assert (race.state[5][order].diff() >= -1e-5).all()  # more friction, more yaw rate
+
+
+def test_cars_of_a_run_are_drawn_whole_and_what_else_is_chosen_is_multiplied_on_top(tmp_path):
+    vehicle = make("vehicle=published").vehicle
+    inertia, stiffness = float(vehicle.yaw_inertia), float(vehicle.front.p_Ky1)
+    shares = np.linspace(-0.1, 0.1, 21)
+    cars = np.stack([inertia * (1.0 + shares), stiffness * (1.0 - shares)], axis=1)
+    write_cars(tmp_path, vehicle, ("yaw_inertia", "front.p_Ky1"), cars)
+    words = ["vehicle=published", f"dr=posterior:{tmp_path}"]
+    race = make(*words, cars=5000)
+    drawn = (race.draws.values / torch.tensor([[inertia], [stiffness]])).double()
+    assert race.draws.names == ["yaw_inertia", "front.p_Ky1"]
+    assert torch.allclose(drawn.sum(dim=0), torch.tensor(2.0, dtype=torch.float64), atol=1e-6)  # correlated by −1
+    assert len(drawn[0].unique()) == 21 and float(drawn[0].std()) == pytest.approx(shares.std(), rel=0.05)
+    both = make(*words, "dr.sigma=0.05", "dr.parameters=[friction,yaw_inertia]", cars=5000)
+    factor = both.draws.values / torch.tensor([[inertia], [stiffness], [float(vehicle.friction)]])
+    assert both.draws.names == ["yaw_inertia", "front.p_Ky1", "friction"]
+    expected = [np.hypot(shares.std(), 0.05), shares.std(), 0.05]
+    assert factor.std(dim=1).tolist() == pytest.approx(expected, rel=0.05)
 
 
 def test_noise_is_on_what_is_seen_and_what_is_done():

@@ -30,10 +30,10 @@ def few_resamples():
         yield
 
 
-def swept(folder: Path, trial: int | None = None, seeds: int = 3, policies=("learned",)) -> Path:
+def swept(folder: Path, trial: int | None = None, seeds: int = 3, policies=("learned",), twins=()) -> Path:
     """Leave the files of a sweep of three ablations whose laps are known; the arm without_actuators has failed.
 
-    Refined policies of `speed` leave the track, as they were learned they don't.
+    Refined policies of `speed` leave the track, as they were learned they don't; of `twins`, `geometric` is slowest.
     """
     RunFolder.start(folder, "sweep", {}, threads=1)
     generator = np.random.default_rng(0)
@@ -48,7 +48,7 @@ def swept(folder: Path, trial: int | None = None, seeds: int = 3, policies=("lea
                     {**where, "reward": 0.9 / TIMES[arm] + 0.001 * seed, "job": f"{arm}-{seed}-{job}{seed}"}
                 )
                 curves.append(pd.DataFrame({**where, "steps": [1e6, 2e6], "reward": [0.1, 0.9 / TIMES[arm]]}))
-                for policy, car in product(policies, ("model", "twin")):
+                for policy, car in product(policies, ("model", "twin", *twins)):
                     raced = {**where, "policy": policy, "car": car}
                     if "turn_in" in sweep.metrics:
                         steering.append(pd.DataFrame({**raced, "s_m": [0.0, 1.0], "delta_rad": [0.0, 0.1]}))
@@ -56,13 +56,13 @@ def swept(folder: Path, trial: int | None = None, seeds: int = 3, policies=("lea
                         measures = dict.fromkeys(MEASURES, 0.0) | {"valid": True, "crashed": False}
                         if policy == "refined" and arm == "speed":
                             measures |= {"off_track_m": generator.uniform(0.3, 0.5), "valid": (seed + number) % 7 == 0}
-                        time = TIMES[arm] + generator.normal(0.0, 0.02)
+                        time = TIMES[arm] + generator.normal(0.0, 0.02) + (car in twins and arm == "geometric")
                         laps.append({**raced, "start": 0, "number": number, **measures, "time_s": time})
     tables = {LAPS: pd.DataFrame(laps), TRAININGS: pd.DataFrame(trainings)}
     tables |= {LEARNING: pd.concat(curves), STEERING: pd.concat(steering)}
     for name, table in tables.items():
         table.to_csv(folder / name, index=False)
-    facts = results(sweeps, ["model", "twin"], tables[LAPS], tables[TRAININGS], trial is not None)
+    facts = results(sweeps, ["model", "twin"], tables[LAPS], tables[TRAININGS], trial is not None, twins)
     facts |= {"jobs": {"planned": 4, "done": 4}, "failed": {}, "trial_steps": trial}
     (folder / RESULTS).write_text(json.dumps(facts))
     return folder
@@ -142,6 +142,18 @@ def test_a_claim_that_holds_for_refined_policies_alone_says_so(tmp_path, page):
     )
     assert "Policies refined: supported" in both and "Policies" not in page
     assert (folder / "turn_in_learned.svg").is_file() and (folder / "turn_in_refined.svg").is_file()
+
+
+def test_claims_are_judged_in_other_twins_and_a_verdict_that_turns_is_bold(tmp_path, page):
+    folder = swept(tmp_path / "twins", policies=("learned", "refined"), twins=("twin_half",))
+    facts = json.loads((folder / RESULTS).read_text())
+    other = [row for row in facts["in_other_twins"] if row["claim"] == 4 and row["policy"] == "learned"]
+    (own,) = (row for row in facts["claims"] if row["claim"] == 4 and row["policy"] == "learned")
+    assert other[0]["car"] == "twin_half" and own["tests"][1]["holds"] and other[0]["tests"][1]["holds"] is False
+    assert {row["car"] for row in facts["arms"]} == {"model", "twin"}
+    table = draw_sweep(folder).read_text().partition("Which claim rests")[2].partition("</table>")[0]
+    assert "<th>half</th>" in table and table.count("<tr>") == 1 + 2 * len(facts["claims"]) // 2
+    assert "Which claim rests" not in page
 
 
 def test_one_training_decides_nothing(tmp_path):

@@ -11,14 +11,23 @@ from racerl.assemble import build_track
 from racerl.config import compose_settings
 from racerl.report.sweep_page import draw_sweep
 from racerl.run import RunFolder
+from racerl.sweep import sweep as sweeping
 from racerl.sweep import work as stage
 from racerl.sweep.definition import METRICS, Comparison, read_sweeps
 from racerl.sweep.jobs import UNTRAINED, Race, plan
 from racerl.sweep.statistics import MEASURES, contrast, resample
-from racerl.sweep.sweep import LAPS, TRAININGS, flying_laps, gather, results, summarise
+from racerl.sweep.sweep import LAPS, TRAININGS, gather, results, summarise
 from racerl.sweep.work import work
 
-SETTINGS = {"words": [], "threads": 1, "seeds": [], "laps": 1, "starts": [0, 1], "cars": ["model", "twin"]}
+SETTINGS = {
+    "words": [],
+    "threads": 1,
+    "seeds": [],
+    "laps": 1,
+    "starts": [0, 1],
+    "cars": ["model", "twin"],
+    "twins": [],
+}
 
 
 @pytest.fixture(scope="module")
@@ -106,13 +115,34 @@ def test_rivals_come_behind_the_first_trainings_and_before_the_others(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "words, laps, driven",
-    [(["budget=smoke"], None, 2), (["budget.trial=true"], None, 2), ([], None, 20), (["budget=smoke"], 7, 7)],
+    "words, laps, twins, driven, raced",
+    [
+        (["budget=smoke"], None, None, 2, []),
+        (["budget.trial=true"], None, None, 2, []),
+        ([], None, None, 20, ["twin_half"]),
+        (["budget=smoke"], 7, ["twin_double"], 7, ["twin_double"]),
+        ([], None, [], 20, []),
+    ],
 )
-def test_a_trial_is_raced_for_a_few_laps(words, laps, driven):
-    sweeps = read_sweeps("controllers")
-    assert flying_laps(sweeps, {"words": words, "laps": laps}, compose_settings) == driven
-    assert compose_settings("sweep", ["name=controllers"])["laps"] is None
+def test_a_trial_is_raced_for_a_few_laps_and_in_no_other_twins(
+    tmp_path, monkeypatch, words, laps, twins, driven, raced
+):
+    class Enough(Exception):
+        pass
+
+    def stop(sweeps, settings, out, compose):
+        raise Enough(settings)
+
+    monkeypatch.setattr(sweeping, "plan", stop)
+    monkeypatch.setattr(
+        sweeping, "read_sweeps", lambda name: [dataclasses.replace(read_sweeps(name)[0], twins=("twin_half",))]
+    )
+    settings = compose_settings("sweep", ["name=controllers"])
+    assert settings["laps"] is None and settings["twins"] is None
+    with pytest.raises(Enough) as asked:
+        sweeping.sweep({**settings, "words": words, "laps": laps, "twins": twins}, tmp_path, compose_settings)
+    planned = asked.value.args[0]
+    assert planned["laps"] == driven and planned["cars"] == ["model", "twin", *raced]
 
 
 def test_a_race_tells_its_laps(planned, tmp_path, monkeypatch):
