@@ -29,7 +29,7 @@ class Metric:
         return f"{self.name} [{self.unit}]"
 
 
-TWIN = "twin"
+MODEL, TWIN = "model", "twin"  # cars
 LISTING = ("question", "sweeps", "twins")  # keys of a file that stands for several sweeps
 ARRIVALS = (10, 5, 3, 2)  # % over the time-optimal lap, that a training's examination comes down to
 METRICS = {
@@ -127,6 +127,7 @@ class Sweep:
     seeds: tuple[int, ...]
     metrics: tuple[str, ...]
     claims: tuple[Claim, ...]
+    cars: tuple[str, ...] = (MODEL, TWIN)
     twins: tuple[str, ...] = ()  # cars in whose place of the twin its claims are judged, too
 
 
@@ -160,7 +161,7 @@ def _path(name: str) -> Path:
 
 
 def _sweep(name: str, content: Mapping[str, Any]) -> Sweep:
-    known = ("question", "base", "arms", "seeds", "metrics", "claims", "twins")
+    known = ("question", "base", "arms", "seeds", "metrics", "claims", "cars", "twins")
     for key in content:
         if key not in known:
             raise ConfigError(f"sweeps/{name}.yaml: unknown key '{key}'{suggest(key, known)}")
@@ -178,6 +179,7 @@ def _sweep(name: str, content: Mapping[str, Any]) -> Sweep:
         seeds=tuple(bounds.wholes("seeds", content["seeds"], 0, 2**31 - 1)),
         metrics=tuple(_words(name, "metrics", content["metrics"])),
         claims=tuple(_claims(name, content.get("claims") or {})),
+        cars=tuple(_words(name, "cars", content.get("cars", [MODEL, TWIN]))),
         twins=tuple(_words(name, "twins", content.get("twins", []))),
     )
     for metric in sweep.metrics:

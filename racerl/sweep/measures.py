@@ -14,14 +14,13 @@ from numpy.typing import NDArray
 from racerl.documents import read_json
 from racerl.errors import DocumentError, RunError
 from racerl.evaluate.outcome import METRICS, TRACK, TRAJECTORIES
-from racerl.sweep.definition import ARRIVALS
+from racerl.sweep.definition import ARRIVALS, MODEL
 from racerl.sweep.jobs import Job
 from racerl.train.session import read_progress
 
 # columns of a lap
 LAP = ("policy", "car", "start", "number", "time_s", "e_off", "off_track_m", "crashed", "valid", "turn_in_m")
 Array = NDArray[np.float64]
-MODEL = "model"  # the car whose time-optimal lap counts
 SHARE = 0.1  # of a training's end, over which its reward is averaged
 STEP, REACH = 0.05, 2.0  # m, of the grid that turn-in is looked for on, and how far
 COARSE = 0.1  # m, of the grid that steering is kept on

@@ -43,7 +43,8 @@ def sweep(
     sweeps = read_sweeps(str(settings["name"]))
     check(settings)
     trial = _trial(sweeps, settings, compose)
-    settings = {**settings, "laps": flying_laps(settings, trial), "twins": _twins(sweeps, settings, trial)}
+    settings = {**settings, "laps": flying_laps(settings, trial), "cars": _cars(sweeps, settings)}
+    settings |= {"twins": _twins(sweeps, settings, trial)}
     planned = plan(sweeps, {**settings, "cars": [*settings["cars"], *settings["twins"]]}, out, compose)
     engine = Engine(settings["engine"], settings["threads"], out)
     decisive = {key: value for key, value in settings.items() if key != "engine"}
@@ -74,6 +75,11 @@ def flying_laps(settings: Mapping[str, Any], trial: bool) -> int:
     return TRIAL_LAPS if trial else USUAL_LAPS
 
 
+def _cars(sweeps: Sequence[Sweep], settings: Mapping[str, Any]) -> list[str]:
+    """Return the cars that every policy is raced in: those asked for, else those of the sweeps."""
+    return list(settings["cars"] or dict.fromkeys(car for sweep in sweeps for car in sweep.cars))
+
+
 def _twins(sweeps: Sequence[Sweep], settings: Mapping[str, Any], trial: bool) -> list[str]:
     """Return the cars in whose place of the twin claims are judged, too: those asked for, else none in a trial."""
     if settings["twins"] is not None:
@@ -90,10 +96,11 @@ def check(settings: Mapping[str, Any]) -> None:
         bounds.whole("laps", settings["laps"], 1, 10_000)
     for key in ("seeds", "starts"):
         bounds.wholes(key, settings[key], 0, 2**31 - 1)
-    if not isinstance(settings["cars"], list) or not settings["cars"]:
-        raise ConfigError(f"cars = {settings['cars']}: a list of names from conf/car is expected")
-    if not isinstance(settings["twins"], list | None):
-        raise ConfigError(f"twins = {settings['twins']}: a list of names from conf/car is expected")
+    for key in ("cars", "twins"):
+        names = settings[key]
+        listed = isinstance(names, list) and all(isinstance(name, str) for name in names)
+        if (names is not None and not listed) or (key == "cars" and names == []):
+            raise ConfigError(f"{key} = {names}: a list of names from conf/car is expected")
 
 
 def summarise(planned: Plan, settings: Mapping[str, Any], out: Path, failed: Mapping[str, str]) -> dict[str, Any]:
