@@ -229,6 +229,16 @@ def gap_close(
 
 
 @app.command(context_settings=HYDRA)
+def export(arguments: Annotated[list[str] | None, _words("RUN [KEY=VALUE]...", "export")] = None) -> None:
+    """Write a policy for other programs: racerl export outputs/train/first
+
+    policy.onnx and policy.h (C99, no library): what the car sees in its units in, references out. card.json says what
+    goes in and out, and by how much the files differ from the policy. pip install -e '.[export]'
+    """
+    _run("export", arguments, _export, positional="run")
+
+
+@app.command(context_settings=HYDRA)
 def rerun(arguments: Annotated[list[str] | None, _words("RUN [KEY=VALUE]...", "rerun")] = None) -> None:
     """Do a finished run again and compare: racerl rerun outputs/train/first
 
@@ -612,6 +622,20 @@ def _rerun(settings: "Settings", out: Path) -> None:
     _print_lines(console, f"{told}; {len(facts['files'])} compared", *lines, f"numbers in {out / RESULT}")
     if not facts["same"]:
         raise typer.Exit(1)
+
+
+def _export(settings: "Settings", out: Path) -> None:
+    from racerl.deploy.export import CARD, HEADER, ONNX, export
+
+    card = export(settings, out)
+    parity = card["parity"]
+    differences = [f"{name} {parity[name]:.1g}" for name in ("onnxruntime", "c") if parity[name] is not None]
+    _print_lines(
+        _console(),
+        f"{card['policy']}: {len(card['sees'])} numbers seen, {card['rate_hz']:g} times a second",
+        f"differs from the policy by at most {', '.join(differences)} rad or m/s ({parity['observations']:,} tried)",
+        f"{out / ONNX}, {out / HEADER}; what goes in and out: {out / CARD}",
+    )
 
 
 def _bench(settings: "Settings", out: Path) -> None:

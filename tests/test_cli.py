@@ -79,7 +79,7 @@ def test_warnings_reach_the_user(tmp_path, monkeypatch, run):
     """Without a compiler on the PATH the simulator falls back to torch, and one line says so."""
     for name, value in {"PATH": "/nowhere", "CC": "", "XDG_CACHE_HOME": str(tmp_path)}.items():
         monkeypatch.setenv(name, value)
-    monkeypatch.setattr(compiler, "_find_compiler", functools.cache(compiler._find_compiler.__wrapped__))
+    monkeypatch.setattr(compiler, "find_compiler", functools.cache(compiler.find_compiler.__wrapped__))
     words = [
         "train",
         "budget=smoke",

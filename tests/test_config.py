@@ -46,6 +46,7 @@ def test_no_file_is_left_out():
         "optimum.yaml",
         "race.yaml",
         "rerun.yaml",
+        "export.yaml",
         "tune.yaml",
         # composed below, each with its command
         *(

@@ -76,7 +76,7 @@ def _temporary(folder: Path, why: str) -> Path:
 
 
 @functools.cache
-def _find_compiler() -> str | None:
+def find_compiler() -> str | None:
     """Return the C compiler's path; say once when there is none."""
     for name in (os.environ.get("CC"), "cc", "gcc", "clang"):
         if name and (path := shutil.which(name)):
@@ -91,7 +91,7 @@ def build(code: str, effort: Sequence[str] = THOROUGH) -> ctypes.CDLL | None:
     `QUICK` takes less than half of the time; loops have to be written out for it, and vectorised by pragma. Raises
     KeyboardInterrupt where the user interrupts the compiler, in whichever thread that is.
     """
-    compiler = _find_compiler()
+    compiler = find_compiler()
     if compiler is None:
         return None
     try:

@@ -199,7 +199,7 @@ def test_a_compiler_that_the_user_interrupts_is_no_broken_compiler(tmp_path, mon
     compiler = tmp_path / "cc"
     compiler.write_text('#!/bin/sh\n[ "$1" = --version ] || kill -INT $$\n')
     compiler.chmod(0o755)
-    monkeypatch.setattr(building, "_find_compiler", lambda: str(compiler))
+    monkeypatch.setattr(building, "find_compiler", lambda: str(compiler))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     with pytest.raises(KeyboardInterrupt):
         building.build("int nothing;")

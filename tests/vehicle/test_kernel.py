@@ -129,7 +129,7 @@ def test_the_process_keeps_subnormal_numbers(car):
 
 
 def test_without_a_compiler_torch_takes_over_and_says_so_once(car, monkeypatch, caplog):
-    monkeypatch.setattr(building, "_find_compiler", functools.cache(building._find_compiler.__wrapped__))
+    monkeypatch.setattr(building, "find_compiler", functools.cache(building.find_compiler.__wrapped__))
     monkeypatch.setattr(building.shutil, "which", lambda name: None)
     with caplog.at_level(logging.WARNING):
         motions = [choose_motion(car, [], 0.01, 5, CPU, torch.float32) for _ in range(2)]

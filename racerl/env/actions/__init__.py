@@ -22,6 +22,9 @@ class Action(Protocol):
     drive_max: float  # m/s or A
     rate_max: float  # m/s² or A/s
 
+    def __hash__(self) -> int:
+        """Actions don't change."""
+
     @property
     def drive_min(self) -> float:
         """Least drive reference in m/s or A."""

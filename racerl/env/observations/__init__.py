@@ -1,12 +1,14 @@
 """What a policy sees, one file each; module `geometric` holds the class `Geometric`."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Protocol
+from functools import cache
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import torch
 from torch import Tensor
 
 from racerl import registry
+from racerl.env.actions import Action
 from racerl.track.track import Track
 
 if TYPE_CHECKING:
@@ -16,6 +18,14 @@ SPEED_MAX = 6.0  # m/s
 YAW_RATE_MAX = 4.0  # rad/s
 HEADING_MAX = torch.pi  # rad
 OBSERVATION_LIMIT = 10.0  # of any normalised number; only a car that tumbles comes near
+
+
+class Seen(NamedTuple):
+    """One number of an observation: what it is, and what it is divided by, in its unit."""
+
+    name: str
+    unit: str
+    maximum: float
 
 
 class Observation(Protocol):
@@ -30,6 +40,9 @@ class Observation(Protocol):
 
         A policy keeps the maxima that it was trained with, so that it sees other tracks in the same scale.
         """
+
+    def sees(self, action: Action) -> tuple[Seen, ...]:
+        """Return what the numbers of a fitted observation are, beside commands of an action."""
 
     def __call__(self, view: "View") -> Tensor:
         """Return the observation (N, size)."""
@@ -54,7 +67,19 @@ def actuator_terms(view: "View") -> list[Tensor]:
     return [view.delta, view.command[0], view.command_rate, view.command[1], view.omega]
 
 
-def actuator_maxima(view: "View") -> list[float]:
-    """Return what `actuator_terms` are divided by."""
-    action = view.action
-    return [action.steering_max, action.steering_max, action.rate_max, action.drive_max, SPEED_MAX]
+def actuators_seen(action: Action) -> tuple[Seen, ...]:
+    """Return what `actuator_terms` are."""
+    unit = "A" if action.drive_mode == "motor_current" else "m/s"
+    return (
+        Seen("delta", "rad", action.steering_max),
+        Seen("delta_ref", "rad", action.steering_max),
+        Seen("drive_ref_rate", f"{unit}/s".replace("m/s/s", "m/s²"), action.rate_max),
+        Seen("drive_ref", unit, action.drive_max),
+        Seen("omega", "m/s", SPEED_MAX),
+    )
+
+
+@cache
+def maxima(observation: Observation, action: Action) -> tuple[float, ...]:
+    """Return what an observation's numbers are divided by."""
+    return tuple(each.maximum for each in observation.sees(action))

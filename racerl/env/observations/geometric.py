@@ -11,7 +11,17 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from racerl.env.observations import HEADING_MAX, SPEED_MAX, YAW_RATE_MAX, actuator_maxima, actuator_terms, check_maxima
+from racerl.env.actions import Action
+from racerl.env.observations import (
+    HEADING_MAX,
+    SPEED_MAX,
+    YAW_RATE_MAX,
+    Seen,
+    actuator_terms,
+    actuators_seen,
+    check_maxima,
+    maxima,
+)
 from racerl.track.track import Track
 
 if TYPE_CHECKING:
@@ -45,20 +55,28 @@ class Geometric:
             width_max=self.width_max or track.max_half_width,
         )
 
+    def sees(self, action: Action) -> tuple[Seen, ...]:
+        """Return names, units and maxima in order."""
+        return (
+            Seen("v_x", "m/s", SPEED_MAX),
+            Seen("v_y", "m/s", SPEED_MAX),
+            Seen("u", "rad", HEADING_MAX),
+            Seen("n", "m", self.width_max),
+            Seen("yaw_rate", "rad/s", YAW_RATE_MAX),
+            *actuators_seen(action),
+            *(Seen(f"curvature_{i + 1}", "1/m", self.curvature_max) for i in range(self.points)),
+            *(Seen(f"half_width_{i + 1}", "m", self.width_max) for i in range(self.points)),
+        )
+
     def __call__(self, view: "View") -> Tensor:
         """Return (N, 10 + 2·points)."""
         frame = view.frame
         car = [view.v_x, view.v_y, view.heading, view.offset, view.yaw_rate, *actuator_terms(view)]
         ahead = view.s[:, None] + view.constant(self._places)
         preview = frame.lookup(ahead, frame.curvature, frame.half_width)
-        maxima = (SPEED_MAX, SPEED_MAX, HEADING_MAX, self.width_max, YAW_RATE_MAX, *actuator_maxima(view))
-        return torch.cat([torch.stack(car, dim=1), *preview], dim=1) / view.constant(maxima + self._preview_maxima)
+        return torch.cat([torch.stack(car, dim=1), *preview], dim=1) / view.constant(maxima(self, view.action))
 
     @cached_property
     def _places(self) -> tuple[float, ...]:
         """Distances ahead, in m."""
         return tuple(self.spacing * (i + 1) for i in range(self.points))
-
-    @cached_property
-    def _preview_maxima(self) -> tuple[float, ...]:
-        return (self.curvature_max,) * self.points + (self.width_max,) * self.points

@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from racerl.env.observations import HEADING_MAX, SPEED_MAX, YAW_RATE_MAX, actuator_maxima, actuator_terms, check_maxima
+from racerl.env.actions import Action
+from racerl.env.observations import (
+    HEADING_MAX,
+    SPEED_MAX,
+    YAW_RATE_MAX,
+    Seen,
+    actuator_terms,
+    actuators_seen,
+    check_maxima,
+    maxima,
+)
 from racerl.track.track import Track
 
 if TYPE_CHECKING:
@@ -35,8 +45,19 @@ class Progress:
         """Take missing maxima from the track."""
         return replace(self, length=self.length or track.length, width_max=self.width_max or track.max_half_width)
 
+    def sees(self, action: Action) -> tuple[Seen, ...]:
+        """Return names, units and maxima in order."""
+        return (
+            Seen("n", "m", self.width_max),
+            Seen("u", "rad", HEADING_MAX),
+            Seen("v_x", "m/s", SPEED_MAX),
+            Seen("v_y", "m/s", SPEED_MAX),
+            Seen("yaw_rate", "rad/s", YAW_RATE_MAX),
+            *actuators_seen(action),
+            Seen("s", "m", self.length),
+        )
+
     def __call__(self, view: "View") -> Tensor:
         """Return (N, 11)."""
         terms = [view.offset, view.heading, view.v_x, view.v_y, view.yaw_rate, *actuator_terms(view), view.s]
-        maxima = [self.width_max, HEADING_MAX, SPEED_MAX, SPEED_MAX, YAW_RATE_MAX, *actuator_maxima(view), self.length]
-        return torch.stack(terms, dim=1) / view.constant(maxima)
+        return torch.stack(terms, dim=1) / view.constant(maxima(self, view.action))

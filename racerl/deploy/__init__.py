@@ -1,0 +1,1 @@
+"""Policies out of racerl and onto cars: files that other programs run."""
