@@ -65,10 +65,10 @@ class Car:
         effects = {**(vehicle.get("effects") or {}), **self.effects}
         if self.model and _numbers(vehicle) == _numbers(self.model):
             vehicle, effects = self.vehicle, {**(self.vehicle.get("effects") or {}), **effects}
+        floor = {}
         if self.grip != 1.0:
-            vehicle = vehicle_document(vehicle, {}, "wheel_speed")
-            vehicle["friction"] = self.grip * vehicle.get("friction", 1.0)
-        return {**vehicle, "effects": effects}
+            floor["friction"] = self.grip * vehicle_document(vehicle, {}, "wheel_speed").get("friction", 1.0)
+        return {**vehicle, **floor, "effects": effects}
 
 
 def _numbers(vehicle: Settings) -> dict[str, Any]:

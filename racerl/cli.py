@@ -175,8 +175,8 @@ def effects(
 def identify(arguments: Annotated[list[str] | None, _words("LOG... [KEY=VALUE]...", "identify")] = None) -> None:
     """Find a car's parameters in driving logs: racerl identify drive.csv.gz out=outputs/identify/first
 
-    Groups: data vehicle method. Writes model.yaml, which every command takes as vehicle=, identification.json and
-    report.html. fit=false only scores the vehicle.
+    Groups: data vehicle method. Writes model.yaml, which every command takes as vehicle=, cars.parquet, which training
+    takes as dr=posterior:RUN, identification.json and report.html. fit=false only scores the vehicle.
     """
     _run("identify", arguments, partial(_identify, arguments or []), positional="logs")
 
@@ -257,7 +257,7 @@ def sweep(
     """Train and race every arm of an ablation: racerl sweep ablations
 
     One process per training, as many at once as there are cores; finished ones are passed over, interrupted ones go
-    on. Own groups and keys: engine seeds cars laps starts threads out; other words are racerl train's: budget=smoke.
+    on. Own groups and keys: engine seeds cars twins laps starts threads out; other words are racerl train's: budget=smoke.
     """
     from racerl.config import gather_words
     from racerl.sweep.definition import names, read_sweeps

@@ -51,7 +51,7 @@ PATHS = {  # positional keys that name files or folders, and what is allowed
     "runs": "finished runs",
     "drivers": "finished evaluate, drive or train runs, paper:rl or paper:human",
 }
-POSTERIOR = "posterior:"  # in front of a run, as dr=posterior:RUN
+POSTERIOR, CARS = "posterior:", "cars.parquet"  # dr=posterior:RUN, and what it draws from
 PAPER = "paper:"  # in place of a path: the paper's own laps
 VALUED = ("--cfg", "-c", "--info", "-i", "--package", "-p", "--config-dir", "-cd", "--config-name", "-cn")
 OPTIONS = (*VALUED, "--multirun", "-m", "--resolve", "--hydra-help", "--help")
@@ -232,8 +232,10 @@ def _rewrite_override(word: str, groups: set[str], filed: Collection[str]) -> It
     if group in groups and value == "null":
         raise ConfigError(f"{word}: a choice of conf/{group} is expected; leave the word out for the usual one")
     if group == "dr" and value.startswith(POSTERIOR):
+        run = value.removeprefix(POSTERIOR)
+        _require_cars(run)
         yield "dr=posterior"
-        yield f"dr.cars={quote(value.removeprefix(POSTERIOR))}"
+        yield f"dr.cars={quote(run)}"
     elif group in FILE_GROUPS and _names_file(word, group):
         _require_file(group, value)
         yield f"{group}=file"
@@ -258,6 +260,15 @@ def _require_file(group: str, value: str) -> None:
         raise ConfigError(
             f"{group} = {value}: no such file in {Path.cwd()}; give the path of one, or a name: "
             f"{', '.join(choices(group))}"
+        )
+
+
+def _require_cars(run: str) -> None:
+    """Raise ConfigError where a run holds no cars to draw from."""
+    if not run or not _there(f"{run}/{CARS}", Path.is_file):
+        raise ConfigError(
+            f"dr={POSTERIOR}{run}: {CARS} is not there; give a run of racerl identify, or of racerl gap that changed "
+            "the vehicle"
         )
 
 

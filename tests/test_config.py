@@ -179,6 +179,9 @@ def test_a_handed_configuration_cannot_run_code(tmp_path, monkeypatch, text, sai
     "words, said",
     [
         (["dr=frction_0.02"], "friction_0.02"),
+        (["dr=posterior:"], "a run of racerl identify"),
+        (["dr=posterior:nowhere"], "dr=posterior:nowhere: cars.parquet is not there"),
+        (["dr=posterior"], "write racerl train dr=posterior:RUN"),
         (["drr=none"], "did you mean dr"),
         (["budget.stpes=3"], "budget.steps"),
         (["tarck=l_shape"], "track"),

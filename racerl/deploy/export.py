@@ -22,7 +22,7 @@ from racerl.documents import write_bytes, write_json, write_text
 from racerl.env.actions import Action
 from racerl.env.observations import OBSERVATION_LIMIT, create_observation
 from racerl.errors import ConfigError, PolicyError, RunError
-from racerl.evaluate.evaluate import label, training_of
+from racerl.evaluate.evaluate import label, origin_of
 from racerl.run import RunFolder
 from racerl.vehicle.compiler import find_compiler
 from racerl.vehicle.load import vehicle_document
@@ -44,15 +44,14 @@ def export(settings: Mapping[str, Any], out: Path) -> dict[str, Any]:
     except ImportError as error:
         raise ConfigError("racerl export needs onnx: in your clone, pip install -e '.[export]'") from error
     run = Path(settings["run"])
-    trained, learned, course = training_of(run)
-    policy = load_policy(run)
+    origin, policy = origin_of(run), load_policy(run)
+    learned, manifest = origin.settings, origin.training.manifest
     track, dt = build_track(learned), build_timing(learned).dt
     action = build_action({**learned, "action": policy.action})
     observation = create_observation(policy.observation).fitted(track)
     if observation.size != policy.sizes[0]:
         raise PolicyError(f"{run}: reads {policy.sizes[0]} numbers, its observation has {observation.size}")
     driver = Driver.of(policy, observation, action, dt)
-    manifest = trained.manifest
     card = {
         "policy": label(learned),
         **_interface(driver, action, dt),
@@ -61,7 +60,7 @@ def export(settings: Mapping[str, Any], out: Path) -> dict[str, Any]:
         "action": dict(policy.action),
         "vehicle": vehicle_document(learned["vehicle"], {}, "wheel_speed"),
         "track": {"name": Path(str(learned["track"]["file"])).stem, "length_m": track.length},
-        "trained": {**course, "best": manifest.get("best")},
+        "trained": {**origin.course, "best": manifest.get("best")},
         "manifest": {key: manifest.get(key) for key in ("run_id", "git_sha", "racerl", "seed", "threads", "words")},
     }
     content, header = onnx_bytes(driver, card), c_header(driver, f"racerl: {card['policy']}")
@@ -71,7 +70,7 @@ def export(settings: Mapping[str, Any], out: Path) -> dict[str, Any]:
     write_bytes(folder.path / ONNX, content)
     write_text(folder.path / HEADER, header)
     write_json(folder.path / CARD, card)
-    folder.finish(train_run_id=manifest["run_id"])
+    folder.finish(train_run_id=origin.identity)
     return card
 
 

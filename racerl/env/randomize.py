@@ -44,7 +44,6 @@ class Randomization:
         bounds.number("dr.actions", self.actions, 0.0, 1.0)
         if not isinstance(self.sigma, (int, float)) or not 0.0 <= self.sigma <= 1.0:
             raise ConfigError(f"dr.sigma = {self.sigma}: allowed is 0 … 1 (a share of each value)")
-
         if not isinstance(self.cars, str) or "\0" in self.cars:
             raise ConfigError(f"dr.cars = {self.cars!r}: a run folder is expected, as in dr=posterior:RUN")
         if not isinstance(self.parameters, list | tuple) or not all(isinstance(name, str) for name in self.parameters):

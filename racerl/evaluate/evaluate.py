@@ -5,7 +5,7 @@ Reads a finished training run, or a drive log; `racerl.evaluate.outcome` says wh
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 
@@ -37,12 +37,11 @@ def evaluate(
     if Path(str(settings["run"])).is_file() or str(settings["run"]).startswith(PAPER):
         return _evaluate_log(settings, out)
     run = Path(settings["run"])
-    trained, trained_settings, course = training_of(run)
+    origin = origin_of(run)
     seeds, laps = seeds_of(settings["seeds"]), bounds.whole("laps", settings["laps"], 1, 10_000)
     use_threads(settings["threads"])
-    name = label(trained_settings)
     car = construct(Car, settings["car"], "car")
-    race_settings = combine(trained_settings, settings, car)
+    race_settings = combine(origin.settings, settings, car)
     device = choose_device(settings["device"])
     policy = load_policy(run, device)
     # the policy knows what it sees and does, in which scale
@@ -63,34 +62,41 @@ def evaluate(
         seeds,
         recorder.log(),
         race.track,
-        label=name,
+        label=label(origin.settings),
         car=car.name,
         controller=policy.name,
         floor=floor,
         race=race,
         run=str(settings["run"]),
-        run_id=trained.manifest["run_id"],
-        trained=course,
+        run_id=origin.identity,
+        trained=origin.course,
     )
-    folder.finish(train_run_id=trained.manifest["run_id"], nan_cars=race.faults, problem=problem)
+    folder.finish(train_run_id=origin.identity, nan_cars=race.faults, problem=problem)
     return metrics
 
 
-def training_of(run: Path) -> tuple[RunFolder, dict[str, Any], dict[str, Any]]:
-    """Return a policy's training, settings that say what the policy has been through, and its steps and seconds.
+class Origin(NamedTuple):
+    """Where a policy comes from: its training, settings that say what it has been through, its steps and seconds."""
 
-    `run` is a finished training, or the folder in it of the policy before its refinement.
-    """
+    training: RunFolder
+    settings: dict[str, Any]
+    course: dict[str, Any]
+    identity: str  # of the policy: the run's, with what it was before the run's refinement apart
+
+
+def origin_of(run: Path) -> Origin:
+    """Return where a policy comes from; `run` is a finished training, or its `unrefined/`."""
     before = run.name == UNREFINED and not (run / MANIFEST).exists()
-    trained = RunFolder.open_complete(run.parent if before else run, "train")
-    settings = trained.settings()
+    training = RunFolder.open_complete(run.parent if before else run, "train")
+    settings, identity = training.settings(), str(training.manifest["run_id"])
     check_settings(settings)
     if not before:
-        return trained, settings, {key: trained.manifest.get(key) for key in ("steps", "seconds")}
+        return Origin(training, settings, {key: training.manifest.get(key) for key in ("steps", "seconds")}, identity)
     facts = read_json(run / FACTS)
     learned = facts.get("learned")
     steps = learned.get("steps") if isinstance(learned, Mapping) else None
-    return trained, {**settings, "budget": None}, {"steps": steps, "seconds": facts.get("seconds")}
+    course = {"steps": steps, "seconds": facts.get("seconds")}
+    return Origin(training, {**settings, "budget": None}, course, f"{identity}/{UNREFINED}")
 
 
 def _evaluate_log(settings: Mapping[str, Any], out: Path) -> dict[str, Any]:
@@ -132,8 +138,8 @@ def label(settings: Mapping[str, Any]) -> str:
     parts = [settings["obs"]["name"], settings["action"]["name"]]
     dr = construct(Randomization, settings["dr"], "dr")
     kind = dr.parameters[0] if len(dr.parameters) == 1 else "all" if dr.parameters else ""
-    parts += ["identified cars"] if dr.cars else []
-    parts += [f"{kind} σ = {dr.sigma:g}"] if dr.sigma else [] if dr.cars else ["no randomization"]
+    spread = ["identified cars" if dr.cars else "", f"{kind} σ = {dr.sigma:g}" if dr.sigma else ""]
+    parts += spread if any(spread) else ["no randomization"]
     if dr.actions or any(dr.estimate.values()):
         parts.append("noise")
     if not settings["sim"]["actuators"]:
@@ -149,7 +155,8 @@ def learned(settings: Mapping[str, Any]) -> str:
         return ""
     refined = isinstance(budget, Mapping) and bool(budget.get("refinement"))
     if name == "trained":
-        return str(algorithm.get("learned")).removesuffix(ONWARD) + ONWARD * refined
+        before = str(algorithm.get("learned"))
+        return before.removesuffix(ONWARD) + ONWARD if refined else before
     return ("PPO" if name == "ppo" else name) + (" refined" if refined else "")
 
 

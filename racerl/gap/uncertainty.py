@@ -44,8 +44,12 @@ def _covariance(investigation: Investigation, found: FittedModel) -> Array:
 
 def possible_cars(investigation: Investigation, found: FittedModel, seed: int) -> Array:
     """Return cars (K, P) that the logs leave possible, in the order of the fit's parameters."""
-    mean = np.array([found.theta[name] for name in found.problem.names])
-    return normal_cars(mean, _covariance(investigation, found), CARS, seed)
+    names, covariance = found.problem.names, _covariance(investigation, found)
+    mean = np.array([found.theta[name] for name in names])
+    sure = deviations(investigation, found)
+    variance = [sure[name] ** 2 + _form(found.vehicle, name, found.theta[name]) ** 2 for name in names]
+    wider = np.maximum(variance - np.diag(covariance), 0.0)  # by the form of an effect, and where the car was weighed
+    return normal_cars(mean, covariance + np.diag(wider), CARS, seed)
 
 
 def intervals(investigation: Investigation, found: FittedModel) -> dict[str, tuple[float, float, float]]:

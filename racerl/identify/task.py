@@ -93,7 +93,9 @@ class Solution:
             for number, (part, alone) in enumerate(zip(self.actuators, task.actuators, strict=True), 1)
         ]
         found = estimate(self.free, self.objective, task.cut, self.independent, seed, earlier)
-        return replace(found, draws=found.draws + (self.fit.point.theta - self.free.point.theta))
+        back = self.fit.point.theta - self.free.point.theta
+        draws = found.draws + back
+        return replace(found, draws=np.where(back, self.objective.unknowns.clip(draws), draws))
 
     @property
     def posterior(self) -> tuple[Array, Array]:

@@ -18,10 +18,10 @@ from racerl.report.interval import draw as draw_interval
 from racerl.report.page import figure, interval, number, provenance, write_page
 from racerl.report.subjects import Evaluation, find_subjects
 from racerl.run import RunFolder
-from racerl.sweep.conclusions import POLICIES, banner, headline, numbered, of, policies
+from racerl.sweep.conclusions import POLICIES, banner, grouped, headline, of, policies
 from racerl.sweep.definition import METRICS, OF_TRAINING, TWIN
-from racerl.sweep.statistics import told
-from racerl.sweep.sweep import LAPS, LEARNING, RESULTS, STEERING, TRAININGS, of_policy
+from racerl.sweep.statistics import power, told
+from racerl.sweep.sweep import LAPS, LEARNING, RESULTS, STEERING, TRAININGS
 
 CURVE = ["sweep", "arm", "seed", "steps", "reward"]  # columns of a learning curve; a sweep of rivals has none
 CURVES = ("track_representation", "action_space")  # sweeps whose arms the paper's Fig. 4 shows
@@ -42,19 +42,37 @@ class Findings:
     @classmethod
     def read(cls, folder: Path) -> "Findings":
         """Read the files of a sweep's folder."""
-        steering = folder / STEERING
         return cls(
             folder,
             read_json(folder / RESULTS),
-            pd.read_csv(folder / LAPS, dtype={"policy": str}).fillna({"policy": ""}),
-            pd.read_csv(folder / TRAININGS),
+            _with_policy(pd.read_csv(folder / LAPS, dtype={"policy": str})),
+            _with_policy(pd.read_csv(folder / TRAININGS, dtype={"policy": str})),
             pd.read_csv(folder / LEARNING) if (folder / LEARNING).is_file() else pd.DataFrame(columns=CURVE),
-            pd.read_csv(steering) if steering.is_file() else pd.DataFrame(columns=["arm", "policy"]),
+            _with_policy(
+                pd.read_csv(folder / STEERING)
+                if (folder / STEERING).is_file()
+                else pd.DataFrame(columns=["sweep", "arm"])
+            ),
         )
 
     def arms(self, sweep: str) -> list[dict[str, Any]]:
         """Return the rows of one sweep's arms, policy by policy and car by car."""
         return [row for row in self.facts["arms"] if row["sweep"] == sweep]
+
+    def of_policy(self, table: pd.DataFrame, policy: str) -> pd.DataFrame:
+        """Return a table's rows for a policy, and all rows of arms that were raced with no such policy."""
+        arms = pd.MultiIndex.from_frame(table[["sweep", "arm"]])
+        return table[(table["policy"] == policy) | ~arms.isin(self._raced(policy))]
+
+    def rows(self, policy: str) -> list[dict[str, Any]]:
+        """Return the arms' rows likewise."""
+        rows: list[dict[str, Any]] = self.facts["arms"]
+        raced = self._raced(policy)
+        return [row for row in rows if of(row) == policy or (row["sweep"], row["arm"]) not in raced]
+
+    def _raced(self, policy: str) -> list[tuple[str, str]]:
+        mine = self.trainings[self.trainings["policy"] == policy]
+        return list(dict.fromkeys(zip(mine["sweep"], mine["arm"], strict=True)))
 
     @property
     def colours(self) -> dict[tuple[str, str], str]:
@@ -65,12 +83,17 @@ class Findings:
     @property
     def policies(self) -> list[str]:
         """Policies of a training that were raced, as learned first."""
-        return [policy for policy in policies(self.facts["arms"]) if policy] or [""]
+        return policies(self.facts["arms"])
 
     @property
     def cars(self) -> list[str]:
         """Cars that were raced in."""
         return list(dict.fromkeys(row["car"] for row in self.facts["arms"]))
+
+
+def _with_policy(table: pd.DataFrame) -> pd.DataFrame:
+    """Return a table whose rows name their policy, "" where none is known: older sweeps had one alone."""
+    return table.fillna({"policy": ""}) if "policy" in table else table.assign(policy="")
 
 
 def draw_sweep(run: Path) -> Path:
@@ -90,7 +113,7 @@ def section(run: Path, out: Path) -> dict[str, Any]:
             "headline": headline(found.facts),
             "banner": banner(found.facts),
             "policies": [POLICIES[policy] for policy in found.policies] if len(found.policies) > 1 else [""],
-            "claims": [_claim(same) for same in numbered(found.facts["claims"]).values()],
+            "claims": [_claim(same) for same in grouped(found.facts["claims"])],
             "sensitivity": _sensitivity(found.facts),
             "tables": [_table(found, sweep) for sweep in found.facts["sweeps"]],
             "table_1": _table_1(found),
@@ -131,21 +154,23 @@ def drawn(found: Findings) -> Iterator[tuple[str, str, str, str | None]]:
 
 def _of_policy(found: Findings, policy: str) -> Iterator[tuple[str, str, str, str | None]]:
     """Yield name, title, caption and SVG of the figures that there is one of for every policy of a training."""
-    arms = [row for row in found.facts["arms"] if of(row) in (policy, "")]
-    laps = of_policy(found.laps[found.laps["sweep"] == randomization.SWEEP], policy)
+    arms, laps = found.rows(policy), found.of_policy(found.laps, policy)
     yield (
         "randomization",
         "Domain randomization (the paper's Fig. 3)",
         "Lap times, E_off and crashes over what was randomized in training and its σ.",
         randomization.draw(
-            laps, [row for row in arms if row["sweep"] == randomization.SWEEP], found.cars, found.colours
+            laps[laps["sweep"] == randomization.SWEEP],
+            [row for row in arms if row["sweep"] == randomization.SWEEP],
+            found.cars,
+            found.colours,
         ),
     )
     yield (
         "turn_in",
         "Steering with and without an actuator model (the paper's Fig. 5)",
         "Measured steering angle along the track; what starts further left turns in earlier.",
-        turn_in.draw(of_policy(found.steering, policy), found.cars, found.colours),
+        turn_in.draw(found.of_policy(found.steering, policy), found.cars, found.colours),
     )
     yield (
         "transfer",
@@ -233,17 +258,17 @@ def _sensitivity(facts: dict[str, Any]) -> dict[str, Any]:
     """Return the claims' verdicts with the twin and with other cars in its place; a verdict that turns is marked."""
     others = facts.get("in_other_twins", [])
     cars = list(dict.fromkeys(row["car"] for row in others))
-    judged = {(row["claim"], of(row), row["car"]): row["verdict"] or "no verdict" for row in others}
+    judged = {(row["sweep"], row["claim"], of(row), row["car"]): row["verdict"] or "no verdict" for row in others}
     rows = []
     for claim in facts["claims"]:
-        number, policy = claim["claim"], of(claim)
-        if (number, policy, cars[0] if cars else "") not in judged:
+        which, several = (claim.get("sweep", ""), claim["claim"], of(claim)), len(policies(others)) > 1
+        if not cars or (*which, cars[0]) not in judged:
             continue
         own = claim["verdict"] or "no verdict"
-        there = [judged[number, policy, car] for car in cars]
+        there = [judged[*which, car] for car in cars]
         rows.append(
             {
-                "claim": ", ".join(filter(None, (str(number), POLICIES[policy] if len(policies(others)) > 1 else ""))),
+                "claim": ", ".join(filter(None, (str(claim["claim"]), POLICIES[of(claim)] if several else ""))),
                 "own": own,
                 "cells": [{"verdict": each, "turns": each != own} for each in there],
             }
@@ -258,10 +283,11 @@ def _test(test: dict[str, Any]) -> dict[str, Any]:
     (side, bound), effect, ci95 = next(iter(test["limit"].items())), test["effect"], test["ci95"]
     limit = {side: scale * bound}
     wanted = f"{side} {scale * bound:.3g} {unit}" if side != "within" else f"within ± {scale * bound:.3g} {unit}"
+    told_power = f"; {power(test['needed'])}" if test.get("needed") else ""
     outcome = {
         True: "as claimed",
         False: "not as claimed",
-        None: f"open, {test['why'] or 'the interval holds the threshold'}",
+        None: f"open, {test['why'] or 'the interval holds the threshold'}{told_power}",
     }
     shown = None if effect is None else scale * effect
     between = None if ci95 is None else [scale * each for each in ci95]

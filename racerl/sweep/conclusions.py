@@ -12,13 +12,15 @@ POLICIES = {"": "", LEARNED: "as learned", REFINED: "refined"}  # in words
 
 def headline(facts: Mapping[str, Any]) -> str:
     """Return results.json in one line."""
+    claims = facts["claims"]
     if steps := facts["trial_steps"]:
         return f"A trial of {steps:,} control steps per training: no verdicts"
-    if not facts["claims"]:
+    if not claims:
         return f"{facts['jobs']['done']} of {facts['jobs']['planned']} jobs done, no claims to weigh"
     found = {}
-    for policy in policies(facts["claims"]):
-        counts = Counter(claim["verdict"] for claim in facts["claims"] if of(claim) == policy)
+    for policy in policies(claims):
+        # what is not trained has one verdict, which counts for all
+        counts = Counter(claim["verdict"] for claim in claims if of(claim) in (policy, ""))
         found[policy] = ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS)
     if len(found) == 1:
         return next(iter(found.values()))
@@ -27,21 +29,21 @@ def headline(facts: Mapping[str, Any]) -> str:
 
 
 def of(row: Mapping[str, Any]) -> str:
-    """Return the policy that an arm's row or a claim is about; empty where there is one alone."""
+    """Return the policy that an arm's row or a claim is about; empty for what is not trained."""
     return str(row.get("policy", ""))
 
 
 def policies(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return the policies that rows are about, as learned first."""
-    return list(dict.fromkeys(map(of, rows)))
+    """Return the policies of trainings that rows are about, as learned first; "" alone where nothing was trained."""
+    return [policy for policy in (LEARNED, REFINED) if policy in set(map(of, rows))] or [""]
 
 
-def numbered(claims: Sequence[Mapping[str, Any]]) -> dict[int, list[Mapping[str, Any]]]:
-    """Return claims by their number, one for each policy."""
-    found: dict[int, list[Mapping[str, Any]]] = {}
+def grouped(claims: Sequence[Mapping[str, Any]]) -> list[list[Mapping[str, Any]]]:
+    """Return claims with their verdicts for every policy together."""
+    found: dict[tuple[str, int], list[Mapping[str, Any]]] = {}
     for claim in claims:
-        found.setdefault(claim["claim"], []).append(claim)
-    return found
+        found.setdefault((claim.get("sweep", ""), claim["claim"]), []).append(claim)
+    return list(found.values())
 
 
 def verdict(claims: Sequence[Mapping[str, Any]]) -> str:
@@ -64,7 +66,5 @@ def banner(facts: Mapping[str, Any]) -> str:
 
 def lines(facts: Mapping[str, Any]) -> list[str]:
     """Return what the terminal says of the results: banner, headline and a line per claim."""
-    claims = [
-        f"claim {number}: {verdict(same)}: {same[0]['says']}" for number, same in numbered(facts["claims"]).items()
-    ]
+    claims = [f"claim {same[0]['claim']}: {verdict(same)}: {same[0]['says']}" for same in grouped(facts["claims"])]
     return [*filter(None, (banner(facts),)), headline(facts), *claims]

@@ -150,7 +150,8 @@ def read_sweeps(name: str) -> list[Sweep]:
         if key not in LISTING:
             raise ConfigError(f"sweeps/{name}.yaml: unknown key '{key}'{suggest(key, LISTING)}")
     listed, twins = _words(name, "sweeps", content["sweeps"]), tuple(_words(name, "twins", content.get("twins", [])))
-    return [replace(_sweep(each, read_yaml(_path(each))), twins=twins) for each in listed]
+    sweeps = [_sweep(each, read_yaml(_path(each))) for each in listed]
+    return [replace(sweep, twins=twins or sweep.twins) for sweep in sweeps]
 
 
 def _path(name: str) -> Path:
@@ -171,6 +172,8 @@ def _sweep(name: str, content: Mapping[str, Any]) -> Sweep:
     arms = content["arms"]
     if not isinstance(arms, Mapping) or not arms:
         raise ConfigError(f"sweeps/{name}.yaml: arms is a mapping from names to words for racerl train")
+    if content.get("cars") == []:
+        raise ConfigError(f"sweeps/{name}.yaml: cars = []: one at least is needed")
     sweep = Sweep(
         name=name,
         question=str(content["question"]),

@@ -14,6 +14,7 @@ import signal
 import subprocess
 import time
 import uuid
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -31,6 +32,7 @@ from racerl.sweep.work import STATE, STOPPED, work
 OWNER, PICKLES, LOGS = ".sweep", ".submitit", "logs"
 KINDS = ("local", "slurm")
 PERIOD = {"local": 0.5, "slurm": 2.0}  # s between looks at the jobs
+STOPS = 50  # that a job is asked to end before it counts as failed: something here wants it gone
 TAIL = 400  # characters of a failed job's last words
 THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
@@ -90,7 +92,7 @@ class Engine:
 
     def run(self, jobs: Sequence[Job], on_status: Callable[[Sequence[Status]], None] = lambda rows: None) -> list[Job]:
         """Run all jobs to their end, `alone` in the folder; return those that failed."""
-        tries = {job.name: 0 for job in jobs}
+        tries, stops = Counter[str](), Counter[str]()
         waiting = [job for job in jobs if not job.done]
         failed: list[Job] = []
         slots: list[Slot] = []
@@ -106,7 +108,9 @@ class Engine:
                     slots.remove(slot)
                     if not slot.job.done:
                         self._keep_log(slot)
-                        tries[slot.job.name] -= (slot.job.path / STOPPED).exists()  # it has not failed
+                        if (slot.job.path / STOPPED).exists() and stops[slot.job.name] < STOPS:
+                            stops[slot.job.name] += 1
+                            tries[slot.job.name] -= 1  # it has not failed
                         again = tries[slot.job.name] <= self.retries
                         (waiting if again else failed).insert(0, slot.job)
                     shutil.rmtree(slot.folder, ignore_errors=True)

@@ -1,6 +1,7 @@
 """The jobs of a sweep: one training each, and its races in every car. Arms that train alike share a job.
 
-A training that ends with a refinement races twice: with its policy as it was learned, and refined.
+A training that ends with a refinement races twice: with its policy as it was learned, and refined. A job's folder
+holds `train/` and a race in every car below `learned/` and `refined/`; that of what is not trained just the races.
 
 Arms whose words name a controller=, a driver's drive= or a drive to be scored, run=, train nothing: one job for all
 seeds, in the world (vehicle, track, …) of the others.
@@ -53,6 +54,11 @@ class Job:
     def trained(self) -> Path:
         """Folder of the training run."""
         return self.path / "train"
+
+    @property
+    def policies(self) -> list[str]:
+        """The policies that race, as learned first."""
+        return list(dict.fromkeys(policy for policy, _ in self.races))
 
     def race(self, policy: str, car: str) -> Path:
         """Return the folder of a policy's race in a car."""

@@ -11,11 +11,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from racerl.control.policy import FACTS, UNREFINED
 from racerl.documents import read_json
 from racerl.errors import DocumentError, RunError
 from racerl.evaluate.outcome import METRICS, TRACK, TRAJECTORIES
 from racerl.sweep.definition import ARRIVALS, MODEL
-from racerl.sweep.jobs import Job
+from racerl.sweep.jobs import LEARNED, REFINED, Job
 from racerl.train.session import read_progress
 
 # columns of a lap
@@ -74,19 +75,22 @@ def final_reward(table: pd.DataFrame) -> float | None:
     return float(last["reward"].mean())
 
 
-def arrivals(job: Job) -> dict[str, float]:
+def arrivals(job: Job, policy: str) -> dict[str, float]:
     """Return after how many seconds of training a policy was first within so many percent of the time-optimal lap.
 
-    Settled laps of examinations without a crash count, in the training's own cars. NaN where none is near enough, and
-    where the time-optimal lap of the model is not known.
+    Settled laps of examinations without a crash count, in the training's own cars; for a policy as it was learned those
+    before the refinement. NaN where none is near enough, and where the time-optimal lap of the model is not known.
     """
     found = {f"to_{percent}": math.nan for percent in ARRIVALS}
-    raced = [job.race(policy, car) for policy, car in job.races if car == MODEL]
-    floor = read_json(raced[0] / METRICS)["optimum_s"] if raced else None
+    floor = read_json(job.race(policy, MODEL) / METRICS)["optimum_s"] if (policy, MODEL) in job.races else None
     if job.train is None or floor is None:
         return found
+    last = math.inf
+    if policy == LEARNED and (REFINED, MODEL) in job.races:
+        last = read_json(job.trained / UNREFINED / FACTS)["learned"]["steps"]
     columns = ["time/seconds", "evaluation/settled_lap_s", "evaluation/crash_share"]
-    examined = read_progress(job.trained).reindex(columns=columns).dropna()
+    course = read_progress(job.trained)
+    examined = course[course["steps"] <= last].reindex(columns=columns).dropna()
     for percent in ARRIVALS:
         near = examined[columns[1]] <= (1.0 + percent / 100.0) * floor
         arrived = examined[near & (examined[columns[2]] == 0.0)]

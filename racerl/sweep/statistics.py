@@ -156,6 +156,8 @@ def weigh(tests: Sequence[Mapping[str, Any]]) -> tuple[str, str]:
     if None not in outcomes:
         return "supported", ""
     reasons = dict.fromkeys(test["why"] for test in tests if test["why"])
+    if most := max((test.get("needed") or 0 for test in tests), default=0):
+        reasons[power(most)] = None
     tested = any(test["effect"] is not None for test in tests)
     return "undecided" if tested else "not tested", "; ".join(reasons)
 
@@ -174,16 +176,26 @@ def obstacle(interval: Sequence[float] | None, trainings: int | None) -> str:
     return "an interval without width" if math.isclose(*interval, rel_tol=1e-9, abs_tol=1e-12) else ""
 
 
-def needed(effect: float, interval: Sequence[float], limit: Mapping[str, float], trainings: int) -> float:
-    """Return how many trainings would decide a test, were its effect as it is and its interval ∝ 1/√trainings."""
+def needed(effect: float, interval: Sequence[float], limit: Mapping[str, float], trainings: int) -> int:
+    """Return how many trainings would decide a test, were its effect as it is and its interval ∝ 1/√trainings.
+
+    At most MANY + 1, which stands for all that are more.
+    """
     ((side, bound),) = limit.items()
-    nearest = min((bound, -bound) if side == "within" else (bound,), key=lambda each: abs(effect - each))
-    reach = effect - interval[0] if nearest < effect else interval[1] - effect
-    return math.ceil(trainings * (reach / (effect - nearest)) ** 2) if effect != nearest else math.inf
+    bounds = (-bound, bound) if side == "within" else (bound,)
+    shares = []  # of the interval's half, that may be left
+    for each in bounds:
+        reach = effect - interval[0] if each < effect else interval[1] - effect
+        distance = abs(effect - each)
+        shares.append(distance / reach if math.isfinite(reach) and reach > 0.0 else 0.0)
+    if not min(shares) > 0.0:
+        return MANY + 1
+    return min(max(math.ceil(trainings / min(shares) ** 2), trainings + 1), MANY + 1)
 
 
-def _power(trainings: float) -> str:
-    return f"about {trainings:.0f} trainings would tell" if trainings <= MANY else f"{MANY} trainings would not tell"
+def power(trainings: int) -> str:
+    """Return the words for that."""
+    return f"about {trainings} trainings would tell" if trainings <= MANY else f"it takes more than {MANY} trainings"
 
 
 def _test(test: Comparison, sweep: Sweep, samples: Mapping[str, Samples]) -> dict[str, Any]:
@@ -201,6 +213,7 @@ def _test(test: Comparison, sweep: Sweep, samples: Mapping[str, Samples]) -> dic
         "holds": None,
         "one_lap": [],
         "why": "",
+        "needed": None,
     }
     absent = sorted(arm for arm in test.arms if test.car not in samples or arm not in samples[test.car].per_seed)
     if absent:
@@ -219,7 +232,7 @@ def _test(test: Comparison, sweep: Sweep, samples: Mapping[str, Samples]) -> dic
     why = obstacle(interval, trainings)
     holds = None if why or interval is None else test.holds(*interval)
     if holds is None and not why and interval and trainings:
-        why = _power(needed(effect, interval, test.limit, trainings))
+        facts["needed"] = needed(effect, interval, test.limit, trainings)
     return {**facts, "effect": float(effect), "ci95": interval, "holds": holds, "why": why}
 
 

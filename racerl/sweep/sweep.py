@@ -6,7 +6,7 @@ steps), `trainings.csv`, `steering.csv` (median steering along the track, where 
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -129,17 +129,19 @@ def summarise(planned: Plan, settings: Mapping[str, Any], out: Path, failed: Map
 def gather(planned: Plan, laps: int) -> dict[str, pd.DataFrame]:
     """Return the tables of what the finished jobs measured, by file."""
     turning = {sweep.name for sweep in planned.sweeps if "turn_in" in sweep.metrics}
-    measured = {job.name: (measure(job, laps), learning(job), arrivals(job)) for job in planned.jobs if job.done}
+    measured = {job.name: (measure(job, laps), learning(job)) for job in planned.jobs if job.done}
     rows: list[dict[str, Any]] = []
     trainings: list[dict[str, Any]] = []
     curves, steering = [], []
     for (sweep, arm, seed), job in planned.of.items():
         if job.name not in measured:
             continue
-        driven, curve, arrived = measured[job.name]
+        driven, curve = measured[job.name]
         where = {"sweep": sweep, "arm": arm, "seed": seed}
         rows += [{**where, **row} for row in driven]
-        trainings.append({**where, "reward": final_reward(curve), **arrived, "job": job.path.name})
+        for policy in job.policies:
+            facts = {"policy": policy, "reward": final_reward(curve), **arrivals(job, policy), "job": job.path.name}
+            trainings.append({**where, **facts})
         curves.append(_thinned(curve).assign(**where))
         if sweep in turning:
             steering += [
@@ -169,28 +171,20 @@ def results(
     rows, claims, elsewhere = [], [], []
     for sweep in sweeps:
         mine, trained = laps[laps["sweep"] == sweep.name], trainings[trainings["sweep"] == sweep.name]
-        policies = [policy for policy in (LEARNED, REFINED) if policy in set(mine["policy"])] or [""]
-        for policy in policies:
-            own = set(mine[mine["policy"] == policy]["arm"])
-            driven = of_policy(mine, policy)
-            samples = _samples(driven, trained, cars)
+        for number, policy in enumerate(kinds(trained)):
+            driven, learned = of_policy(mine, trained, policy), of_policy(trained, trained, policy)
+            own = set(trained[trained["policy"] == policy]["arm"])
+            samples = _samples(driven, learned, cars)
             rows += [
-                {
-                    "sweep": sweep.name,
-                    "arm": arm,
-                    "policy": policy if arm in own else "",
-                    "car": car,
-                    "trainings": int(trained[trained["arm"] == arm]["reward"].notna().sum()),
-                    **_metrics(part, arm),
-                }
-                for car, part in samples.items()
-                for arm in sweep.arms
-                if arm in part.per_seed and (arm in own or policy == policies[0])
+                row
+                for row in _rows(sweep, samples, learned)
+                if row["arm"] in own or not number  # what is not trained stands there once
             ]
             claims += [{"policy": policy, **judge(claim, sweep, samples, trial)} for claim in sweep.claims]
             about = [claim for claim in sweep.claims if any(test.car == TWIN for test in claim.tests)]
+            needed = {arm for claim in about for test in claim.tests for arm in test.arms}
             for twin in twins if about else ():
-                raced = _samples(driven, trained, [twin])
+                raced = _samples(driven[driven["arm"].isin(needed)], learned, [twin])
                 there = samples | ({TWIN: raced[twin]} if raced else {})
                 elsewhere += [{"policy": policy, "car": twin, **judge(claim, sweep, there, trial)} for claim in about]
     questions = [{"sweep": s.name, "question": s.question, "metrics": list(s.metrics)} for s in sweeps]
@@ -198,15 +192,30 @@ def results(
     return {"sweeps": questions, "arms": rows, "claims": claims, "in_other_twins": elsewhere}
 
 
+def _rows(sweep: Sweep, samples: Mapping[str, Samples], trained: pd.DataFrame) -> Iterator[dict[str, Any]]:
+    """Yield the metrics of every arm in every car."""
+    for car, part in samples.items():
+        for arm in sweep.arms:
+            if arm in part.per_seed:
+                mine = trained[trained["arm"] == arm]
+                facts = {"policy": mine["policy"].iloc[0], "trainings": int(mine["reward"].notna().sum())}
+                yield {"sweep": sweep.name, "arm": arm, "car": car, **facts, **_metrics(part, arm)}
+
+
+def kinds(trainings: pd.DataFrame) -> list[str]:
+    """Return the policies of trainings that were raced, as learned first; "" alone where nothing was trained."""
+    return [policy for policy in (LEARNED, REFINED) if policy in set(trainings["policy"])] or [""]
+
+
+def of_policy(table: pd.DataFrame, trainings: pd.DataFrame, policy: str) -> pd.DataFrame:
+    """Return the rows of all arms' policies of a kind; of arms whose trainings were raced with none of it, all rows."""
+    has = set(trainings[trainings["policy"] == policy]["arm"])
+    return table[(table["policy"] == policy) | ~table["arm"].isin(has)]
+
+
 def _samples(laps: pd.DataFrame, trained: pd.DataFrame, cars: Sequence[str]) -> dict[str, Samples]:
     """Return the samples in every car; none without laps."""
     return {car: resample(laps[laps["car"] == car], trained, np.random.default_rng(0)) for car in cars if len(laps)}
-
-
-def of_policy(laps: pd.DataFrame, policy: str) -> pd.DataFrame:
-    """Return the laps of all arms' policies of a kind; of arms that have none of it, all laps."""
-    has = set(laps[laps["policy"] == policy]["arm"])
-    return laps[(laps["policy"] == policy) | ~laps["arm"].isin(has)]
 
 
 def _metrics(samples: Samples, arm: str) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """Cars that a log leaves possible: parameters drawn together from what a fit says of them, correlations included.
 
-`racerl identify` and `racerl gap` write them beside `model.yaml`; `dr=posterior:RUN` trains in them.
+`racerl identify` and `racerl gap`, in what it changed, write them beside `model.yaml`; `dr=posterior:RUN` trains in
+them.
 """
 
 from collections.abc import Sequence
@@ -45,14 +46,9 @@ def read_cars(run: Path, vehicle: Vehicle) -> dict[str, Array]:
     Raises VehicleError for a file that is damaged, ConfigError where the vehicle is not one of its cars.
     """
     path = run / CARS
-    if not path.exists():
-        raise ConfigError(
-            f"dr = posterior:{run}: {CARS} is not there; give a run of racerl identify, or of racerl gap that "
-            "changed the vehicle"
-        )
     table = _read(path)
     known, bounds = values(vehicle), specifications(vehicle)
-    advice = f"train the vehicle that it found: vehicle={run}/model.yaml"
+    advice = f"train the vehicle that it found, with its actuators: vehicle={run}/model.yaml"
     for name, drawn in table.items():
         if name not in known:
             raise ConfigError(f"dr = posterior:{run}: the vehicle has no '{name}'{suggest(name, known)}; {advice}")
@@ -72,6 +68,9 @@ def _read(path: Path) -> dict[str, Array]:
         shape = file.metadata.num_rows, file.metadata.num_columns
         if not FEWEST <= shape[0] <= MAX_CARS or not 1 <= shape[1] <= MAX_NAMES:
             raise ValueError(f"{shape[0]} cars of {shape[1]} parameters; some were expected")
+        types = {field.name: field.type for field in file.schema_arrow}
+        if len(types) < shape[1] or not all(map(pa.types.is_floating, types.values())):
+            raise ValueError("columns of numbers with names of their own were expected")
         table = as_frame(file.read(use_threads=False))
         cars = {str(name): table[name].to_numpy(dtype=np.float64) for name in table.columns}
     except (pa.ArrowException, OSError, ValueError, TypeError, KeyError) as error:

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+import yaml
 
 from racerl.assemble import Car, conf_folder
 from racerl.config import compose_settings
@@ -16,6 +17,8 @@ from racerl.evaluate.drive import Recorder, drive
 from racerl.evaluate.evaluate import combine, evaluate, label
 from racerl.record.record import record
 from racerl.registry import construct
+from racerl.vehicle.load import load_vehicle
+from racerl.vehicle.parameter import replace_values
 from tests.env.test_race import make
 
 
@@ -146,6 +149,17 @@ def test_the_twin_of_the_default_car_has_the_numbers_of_its_log():
         assert {*own["effects"], *trained["vehicle"]["effects"], "steering_delay"} <= set(twin["effects"])
     heavier = raced(compose_settings("train", ["vehicle.mass=6"]), "car=twin")["vehicle"]
     assert heavier["mass"] == 6 and heavier["yaw_inertia"] != own["yaw_inertia"]
+
+
+def test_a_floor_with_less_grip_is_all_that_a_slippery_twin_adds(tmp_path):
+    document = compose_settings("train", ["vehicle=published", "+vehicle/effect=yaw_damping"])["vehicle"]
+    (tmp_path / "mine.yaml").write_text(yaml.safe_dump(document))
+    for words in (["vehicle=published"], [f"vehicle={tmp_path / 'mine.yaml'}"], []):
+        trained = compose_settings("train", words)
+        twin, slippery = (load_vehicle(raced(trained, f"car={car}")["vehicle"]) for car in ("twin", "twin_slippery"))
+        assert slippery.friction == pytest.approx(0.9 * twin.friction)
+        assert replace_values(slippery, {"friction": twin.friction}) == twin
+        assert ("yaw_damping" in slippery.effects) is bool(words and "mine" in words[0])
 
 
 @pytest.mark.parametrize("car", sorted(path.stem for path in (conf_folder() / "car").glob("*.yaml")))

@@ -31,6 +31,7 @@ from racerl.gap.verdict import Verdict, judge, open_stage, proved, separable
 from racerl.gap.workers import Workers
 from racerl.report.gap_page import draw_gap
 from racerl.vehicle import catalogue
+from racerl.vehicle.cars import read_cars
 from racerl.vehicle.load import load_vehicle
 from racerl.vehicle.ops import TORCH
 from tests.gap.conftest import drive, settings_for
@@ -80,6 +81,9 @@ def test_the_vehicle_file_holds_the_effect_and_is_one_that_every_command_takes(d
     assert float(car.yaw_inertia) == pytest.approx(
         float(load_vehicle(diagnosis.settings["vehicle"]).yaw_inertia), rel=0.05
     )
+    coefficients = read_cars(diagnosis.out, car)["effects.yaw_damping.coefficient"]
+    low, high = diagnosis.facts["effects"][0]["parameters"]["coefficient"]["ci95"]
+    assert np.quantile(coefficients, [0.025, 0.975]) == pytest.approx([low, high], rel=0.05)
 
 
 @needs_compiler

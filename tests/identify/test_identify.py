@@ -19,6 +19,7 @@ from racerl.identify.identify import identify
 from racerl.record.record import record
 from racerl.report.identification_page import draw_identification
 from racerl.train.train import train
+from racerl.vehicle.cars import read_cars
 from racerl.vehicle.load import load_vehicle
 from racerl.vehicle.parameter import values
 from tests.identify.conftest import FEW, settings_for
@@ -83,9 +84,11 @@ def test_the_page_and_the_model_can_be_used(identified, tmp_path):
     assert "front.p_Ky1" in page and page.count("</figure>") == 3
     car = load_vehicle({"file": str(out / "model.yaml")})
     assert car.yaw_inertia == pytest.approx(facts["parameters"]["yaw_inertia"]["value"], rel=1e-5)
-    settings = compose_settings(
-        "train", [f"vehicle={out}/model.yaml", "budget=smoke", "threads=1", "budget.steps=2000"]
-    )
+    words = [f"vehicle={out}/model.yaml", f"dr=posterior:{out}", "budget=smoke", "threads=1", "budget.steps=2000"]
+    settings = compose_settings("train", words)
+    cars = read_cars(out, car)
+    for name, row in facts["parameters"].items():
+        assert np.quantile(cars[name], [0.025, 0.975]) == pytest.approx(row["ci95"], rel=1e-4, abs=1e-6), name
     train(settings, tmp_path / "trained")
     assert (tmp_path / "trained" / "policy.safetensors").is_file()
 

@@ -44,9 +44,8 @@ def swept(folder: Path, trial: int | None = None, seeds: int = 3, policies=("lea
             for seed in range(seeds) if arm in TIMES else ():
                 where = {"sweep": sweep.name, "arm": arm, "seed": seed}
                 job = "base" if TIMES[arm] == 5.5 else arm  # the same training under several names
-                trainings.append(
-                    {**where, "reward": 0.9 / TIMES[arm] + 0.001 * seed, "job": f"{arm}-{seed}-{job}{seed}"}
-                )
+                facts = {"reward": 0.9 / TIMES[arm] + 0.001 * seed, "job": f"{arm}-{seed}-{job}{seed}"}
+                trainings += [{**where, "policy": policy, **facts} for policy in policies]
                 curves.append(pd.DataFrame({**where, "steps": [1e6, 2e6], "reward": [0.1, 0.9 / TIMES[arm]]}))
                 for policy, car in product(policies, ("model", "twin", *twins)):
                     raced = {**where, "policy": policy, "car": car}
@@ -142,6 +141,47 @@ def test_a_claim_that_holds_for_refined_policies_alone_says_so(tmp_path, page):
     )
     assert "Policies refined: supported" in both and "Policies" not in page
     assert (folder / "turn_in_learned.svg").is_file() and (folder / "turn_in_refined.svg").is_file()
+
+
+def test_an_arm_that_was_raced_and_drove_no_lap_has_not_been_driven_and_none_stands_in(tmp_path):
+    folder = swept(tmp_path / "creeping", policies=("learned", "refined"))
+    laps, trainings = (pd.read_csv(folder / name) for name in (LAPS, TRAININGS))
+    gone = (laps["arm"] == "geometric") & (laps["policy"] == "learned")
+    sweeps = [sweep for name in NAMES for sweep in read_sweeps(name)]
+    facts = results(sweeps, ["model", "twin"], laps[~gone], trainings)
+    (learned, refined) = (claim for claim in facts["claims"] if claim["claim"] == 4)
+    assert told(learned) == "not tested, geometric has not been driven" and refined["verdict"] == "refuted"
+    assert {row["policy"] for row in facts["arms"] if row["arm"] == "geometric"} == {"refined"}
+
+
+def test_an_arm_without_a_refinement_stands_beside_refined_ones(tmp_path):
+    folder = swept(tmp_path / "mixed", policies=("learned", "refined"))
+    laps, trainings = (pd.read_csv(folder / name) for name in (LAPS, TRAININGS))
+    laps, trainings = (
+        table[(table["arm"] != "progress") | (table["policy"] == "learned")] for table in (laps, trainings)
+    )
+    sweeps = [sweep for name in NAMES for sweep in read_sweeps(name)]
+    facts = {**json.loads((folder / RESULTS).read_text()), **results(sweeps, ["model", "twin"], laps, trainings)}
+    laps.to_csv(folder / LAPS, index=False)
+    trainings.to_csv(folder / TRAININGS, index=False)
+    (folder / RESULTS).write_text(json.dumps(facts))
+    rows = [row for row in facts["arms"] if row["arm"] == "progress"]
+    assert [(row["policy"], row["car"]) for row in rows] == [("learned", "model"), ("learned", "twin")]
+    refined = next(c for c in facts["claims"] if c["claim"] == 4 and c["policy"] == "refined")
+    assert refined["tests"][1]["holds"]  # against the one there is
+    assert "progress" in draw_sweep(folder).read_text() and (folder / "transfer_refined.svg").is_file()
+
+
+def test_a_sweep_from_before_there_were_two_policies_is_drawn(tmp_path):
+    folder = swept(tmp_path / "old")
+    for name in (LAPS, TRAININGS, STEERING):
+        pd.read_csv(folder / name).drop(columns="policy", errors="ignore").to_csv(folder / name, index=False)
+    facts = json.loads((folder / RESULTS).read_text())
+    for row in (*facts["arms"], *facts["claims"]):
+        del row["policy"]
+    del facts["in_other_twins"]
+    (folder / RESULTS).write_text(json.dumps(facts))
+    assert "<h1>0 supported, 1 refuted, 1 undecided, 2 not tested</h1>" in draw_sweep(folder).read_text()
 
 
 def test_claims_are_judged_in_other_twins_and_a_verdict_that_turns_is_bold(tmp_path, page):

@@ -59,6 +59,21 @@ def test_a_users_sweep_comes_first(tmp_path, monkeypatch):
     assert sweep.arms["b"] == ("dr=friction_0.1",) and sweep.claims[0].tests[0].weights == {"b": 1.0, "a": -1.0}
 
 
+def test_a_sweep_names_its_cars_and_a_list_of_sweeps_may_name_their_twins(tmp_path, monkeypatch):
+    write(tmp_path, monkeypatch, cars=["model", "twin_slippery"], twins=["twin_half"])
+    (sweep,) = read_sweeps("mine")
+    assert sweep.cars == ("model", "twin_slippery") and sweep.twins == ("twin_half",)
+    listing = tmp_path / "sweeps" / "all.yaml"
+    listing.write_text("sweeps: [mine, action_space]\n")
+    mine, other = read_sweeps("all")
+    assert mine.twins == ("twin_half",) and other.cars == ("model", "twin") and other.twins == ()
+    listing.write_text("sweeps: [mine, action_space]\ntwins: [twin_double]\n")
+    assert [sweep.twins for sweep in read_sweeps("all")] == [("twin_double",)] * 2
+    listing.write_text("sweeps: [mine]\ntwin: [twin_double]\n")
+    with pytest.raises(RacerlError, match=r"unknown key 'twin'.*twins"):
+        read_sweeps("all")
+
+
 def claiming(**test):
     return {1: {"says": "so", "tests": [{"metric": "lap_time", "contrast": {"a": 1}, "above": 0} | test]}}
 
@@ -78,6 +93,8 @@ def claiming(**test):
         ({"claims": claiming(slope={"a": 1})}, "either contrast or slope"),
         ({"claims": claiming(unter=1)}, "no setting 'unter'"),
         ({"claims": {1: {"says": "so"}}}, "says and tests"),
+        ({"cars": []}, "one at least"),
+        ({"twins": "twin_half"}, "list of words"),
     ],
 )
 def test_a_mistake_is_told(tmp_path, monkeypatch, changes, said):

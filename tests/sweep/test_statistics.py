@@ -12,7 +12,7 @@ from racerl.sweep import statistics
 from racerl.sweep.definition import Claim, Comparison, Sweep
 from racerl.sweep.jobs import UNTRAINED
 from racerl.sweep.measures import STEP, arrivals, final_reward, turn_in
-from racerl.sweep.statistics import contrast, judge, resample, spread, told
+from racerl.sweep.statistics import MANY, contrast, judge, needed, resample, spread, told, weigh
 
 SLOWER = Comparison(metric="lap_time", contrast={"b": 1.0, "a": -1.0}, above=0.0)
 
@@ -177,7 +177,54 @@ def test_a_policy_arrives_with_its_first_examination_that_is_near_enough_and_wit
     (trained / "progress.jsonl").write_text("".join(json.dumps(line) + "\n" for line in [{"steps": 1}, *lines]))
     cars = {("learned", "twin"): None, ("learned", "model"): None}
     job = SimpleNamespace(race=lambda policy, car: raced, trained=trained, train={}, races=cars)
-    found = arrivals(job)
+    found = arrivals(job, "learned")
     assert found["to_10"] == 30.0 and found["to_3"] == 50.0 and math.isnan(found["to_2"])
     for change in ({"races": {("learned", "twin"): None}}, {"train": None}):
-        assert all(math.isnan(seconds) for seconds in arrivals(SimpleNamespace(**{**vars(job), **change})).values())
+        assert all(
+            math.isnan(seconds) for seconds in arrivals(SimpleNamespace(**{**vars(job), **change}), "learned").values()
+        )
+
+
+@pytest.mark.parametrize(
+    ("effect", "interval", "limit", "trainings"),
+    [
+        (0.1, [-0.1, 0.3], {"above": 0.0}, 20),  # half of the interval may be left: 5 / ½²
+        (0.1, [-0.3, 0.2], {"above": 0.0}, 80),  # the side of the threshold counts
+        (-0.1, [-0.3, 0.1], {"above": 0.0}, 20),
+        (0.02, [-0.15, 0.09], {"within": 0.1}, 11),  # inside, the further bound counts: −0.12 of −0.17
+        (0.3, [0.05, 0.4], {"within": 0.1}, 8),  # outside, the near one alone
+        (0.1, [0.0, 0.3], {"above": 0.0}, 6),  # one more at least
+        (0.0, [-0.1, 0.1], {"above": 0.0}, MANY + 1),
+        (0.1, [-math.inf, 0.3], {"above": 0.0}, MANY + 1),
+    ],
+)
+def test_how_many_trainings_would_tell(effect, interval, limit, trainings):
+    assert needed(effect, interval, limit, 5) == trainings
+
+
+def test_an_open_claim_says_what_its_least_sure_test_needs():
+    opened = [{"holds": None, "effect": 1.0, "why": "", "needed": count} for count in (6, 12)]
+    assert weigh([*opened, {"holds": True, "effect": 1.0, "why": "", "needed": None}]) == (
+        "undecided",
+        "about 12 trainings would tell",
+    )
+    far = {"holds": None, "effect": 1.0, "why": "", "needed": MANY + 1}
+    assert weigh([*opened, far])[1] == f"it takes more than {MANY} trainings"
+
+
+def test_what_a_policy_as_learned_arrived_at_came_before_its_refinement(tmp_path):
+    raced, trained = tmp_path / "raced", tmp_path / "trained"
+    raced.mkdir()
+    (trained / "unrefined").mkdir(parents=True)
+    (raced / "metrics.json").write_text(json.dumps({"optimum_s": 5.0}))
+    (trained / "unrefined" / "policy.json").write_text(json.dumps({"learned": {"steps": 20}}))
+    lines = [
+        {"steps": step, "time/seconds": float(step), "evaluation/settled_lap_s": lap, "evaluation/crash_share": 0.0}
+        for step, lap in ((10, 5.6), (20, 5.4), (30, 5.2))
+    ]
+    (trained / "progress.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    races = {("learned", "model"): None, ("refined", "model"): None}
+    job = SimpleNamespace(race=lambda policy, car: raced, trained=trained, train={}, races=races)
+    learned, refined = arrivals(job, "learned"), arrivals(job, "refined")
+    assert learned["to_10"] == refined["to_10"] == 20.0
+    assert math.isnan(learned["to_5"]) and refined["to_5"] == 30.0

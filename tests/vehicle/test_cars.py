@@ -2,6 +2,8 @@
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from racerl.config import compose_settings
@@ -11,6 +13,11 @@ from racerl.vehicle.cars import CARS, normal_cars, read_cars, write_cars
 from racerl.vehicle.load import load_vehicle
 
 NAMES = ("yaw_inertia", "front.p_Ey1")
+
+
+def twice():
+    """Return a table with two columns of one name."""
+    return pa.Table.from_arrays([pa.array([4.0, 5.0]), pa.array([4.5, 5.5])], names=["mass", "mass"])
 
 
 @pytest.fixture
@@ -37,7 +44,9 @@ def test_what_is_read_is_what_was_written_inside_the_bounds(vehicle, tmp_path):
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda folder, vehicle: None, "a run of racerl identify"),
+        (lambda folder, vehicle: None, "cannot be read"),
+        (lambda folder, vehicle: write_parquet(folder / CARS, pd.DataFrame({"mass": ["4", "5"]})), "of numbers"),
+        (lambda folder, vehicle: pq.write_table(twice(), folder / CARS), "with names of their own"),
         (lambda folder, vehicle: (folder / CARS).write_bytes(b"PAR1"), "is damaged"),
         (lambda folder, vehicle: write_cars(folder, vehicle, (), np.zeros((5, 0))), "0 parameters"),
         (lambda folder, vehicle: write_cars(folder, vehicle, NAMES, np.full((1, 2), 0.1)), "1 cars"),

@@ -33,9 +33,9 @@ def draw(
             for i, name in enumerate(names):
                 colour = colours[SWEEP, name]
                 _box(time, laps[(laps["arm"] == name) & (laps["car"] == car)]["time_s"].dropna(), i, colour)
-                row = next(row for row in arms if row["arm"] == name and row["car"] == car)
-                _bar(off, i, row["e_off"], 1.0, colour)
-                _bar(crashes, i, row["crash_share"], 100.0, colour)
+                for row in (row for row in arms if row["arm"] == name and row["car"] == car):
+                    _bar(off, i, row["e_off"], 1.0, colour)
+                    _bar(crashes, i, row["crash_share"], 100.0, colour)
                 if name in paper:
                     time.plot(i, paper[name].median_lap_s, "D", ms=5, color=PAPER)
                     off.plot(i, paper[name].e_off, "D", ms=5, color=PAPER)
