@@ -1,0 +1,201 @@
+"""A policy at the wheel of one real car: what its sensors say in, references out, a stop where they cannot be trusted.
+
+What was measured is some milliseconds old, and what is commanded acts some milliseconds late. So the car's own
+equations are driven forward over both, with the commands that were given; the policy sees the car as it will be. What
+it sees is computed by the observation that it was trained with.
+"""
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from racerl import bounds
+from racerl.assemble import build_action, build_timing, build_track
+from racerl.control.policy import load_policy
+from racerl.env.observations import OBSERVATION_LIMIT, create_observation
+from racerl.env.race import View
+from racerl.errors import PolicyError
+from racerl.evaluate.evaluate import origin_of
+from racerl.track.frenet import FrenetFrame
+from racerl.vehicle.kernel import choose_motion
+from racerl.vehicle.load import load_vehicle
+from racerl.vehicle.vehicle import STATE
+
+STEP = 0.005  # s, of the prediction
+CPU = torch.device("cpu")
+
+
+class Sensed(NamedTuple):
+    """One car as it was measured at a time; δ may be NaN, where no sensor tells it."""
+
+    time: float  # s
+    x: float  # m
+    y: float  # m
+    yaw: float  # rad
+    v_x: float  # m/s
+    v_y: float  # m/s
+    yaw_rate: float  # rad/s
+    delta: float  # rad
+    omega: float  # m/s, of the wheel's surface
+
+
+class Order(NamedTuple):
+    """What the car is told; `why` says what stands in the way where it has to stop."""
+
+    delta_ref: float  # rad
+    drive_ref: float  # m/s or A
+    why: str
+
+
+@dataclass(frozen=True)
+class Guard:
+    """When not to drive."""
+
+    stale: float = 0.2  # s, age of what was measured
+    off_track: float = 0.1  # m beyond the boundary
+    slow: float = 2.0  # control periods between two orders
+    settle: float = 0.5  # s of sound data before it drives (again)
+
+    def __post_init__(self) -> None:
+        for name, high in (("stale", 10.0), ("off_track", 100.0), ("slow", 100.0), ("settle", 60.0)):
+            bounds.number(f"guard.{name}", getattr(self, name), 0.0, high)
+
+
+class Pilot:
+    """Drives one car. `delay` is by how many seconds orders act late, on top of what the vehicle says itself.
+
+    Raises RunError, PolicyError or ConfigError for a run that cannot drive.
+    """
+
+    def __init__(self, run: Path, delay: float = 0.0, guard: Guard | None = None) -> None:
+        origin, self.policy = origin_of(run), load_policy(run)
+        settings = {**origin.settings, "action": self.policy.action}
+        track = build_track(settings)
+        self.frame = FrenetFrame(track, CPU, torch.float32)
+        # a real car has actuators, whatever the policy was trained with
+        self.vehicle = load_vehicle(settings["vehicle"], drive=settings["sim"]["drive"])
+        self.action = build_action(settings)
+        self.observation = create_observation(self.policy.observation).fitted(track)
+        if self.observation.size != self.policy.sizes[0]:
+            raise PolicyError(
+                f"{run}: reads {self.policy.sizes[0]} numbers, its observation has {self.observation.size}"
+            )
+        self.period = build_timing(settings).dt
+        self.delay = bounds.number("delay", delay, 0.0, 1.0, "s")
+        self.guard = guard or Guard()
+        self._motion = choose_motion(self.vehicle, (), STEP, 1, CPU, torch.float32)
+        # time, δ_ref, drive reference
+        self._given: deque[tuple[float, float, float]] = deque([(-math.inf, 0.0, 0.0)], maxlen=1000)
+        self._constants: dict[tuple[float, ...], Tensor] = {}
+        self._s: Tensor | None = None
+        self._sound_since = self._asked = math.nan
+        self._delta = 0.0  # as the steering's model has it
+        self._rate = 0.0  # of the drive reference
+        self._driving = False
+
+    def drive(self, sensed: Sensed, now: float) -> Order:
+        """Return what to tell the car now, on the clock of `sensed.time`."""
+        late, self._asked = now - self._asked, now
+        why = self._doubt(sensed, now, late)
+        self._delta = self._steered(late)
+        if why:
+            return self._stop(now, why)
+        state = self.predict(sensed, now + self.delay)
+        place = self._place(state)
+        if float(place[4]) < -self.guard.off_track:
+            return self._stop(now, f"{-float(place[4]):.2f} m off the track")
+        if math.isnan(self._sound_since):
+            self._sound_since = now
+        if now - self._sound_since < self.guard.settle - 1e-6:
+            return self._stop(now, "waiting until the data have been sound for a while", sound=True)
+        return self._order(state, place, sensed, now)
+
+    def _order(self, state: Tensor, place: Tensor, sensed: Sensed, now: float) -> Order:
+        steering, drive = self._given[-1][1:]
+        if not self._driving:
+            drive, self._rate = float(self.action.initial(torch.tensor([sensed.omega]))), 0.0
+        last, rate = torch.tensor([[steering], [drive]]), torch.tensor([self._rate])
+        view = View(state, place, last, rate, self.frame, self.action, self._constant)
+        seen = self.observation(view).clamp_(-OBSERVATION_LIMIT, OBSERVATION_LIMIT)
+        command = self.action.command(self.policy(seen), last, self.period)
+        self._driving = True
+        delta_ref, drive_ref = command[:, 0].tolist()
+        if not (math.isfinite(delta_ref) and math.isfinite(drive_ref)):
+            return self._stop(now, "the policy gave no finite references")
+        self._rate = (drive_ref - drive) / self.period
+        self._given.append((now, delta_ref, drive_ref))
+        return Order(delta_ref, drive_ref, "")
+
+    def predict(self, sensed: Sensed, until: float) -> Tensor:
+        """Return the state (S, 1) at a later time, driven by the orders that act until then."""
+        measured = list(sensed[1:])
+        if math.isnan(sensed.delta):
+            measured[STATE.index("delta")] = self._delta
+        rest = [0.0] * (len(self.vehicle.states) - len(STATE))
+        state = torch.tensor([*measured, *rest])[:, None]
+        time = sensed.time
+        while time < until - 1e-9:
+            acting = torch.tensor(self._acting(time + STEP / 2))[:, None]
+            state = self._motion(state, acting, torch.empty(0, 1))
+            time += STEP
+        return state
+
+    def _acting(self, time: float) -> list[float]:
+        """Return the references that act on the car at a time."""
+        delays = self.vehicle.delays()
+        found = []
+        for column, name in enumerate(("delta_ref", "drive_ref"), start=1):
+            at = time - self.delay - float(delays.get(name, 0.0))
+            found.append(next((given[column] for given in reversed(self._given) if given[0] <= at), 0.0))
+        return found
+
+    def _steered(self, late: float) -> float:
+        """Return the steering angle one period further on: δ ← δ + (δ_ref − δ)(1 − e^{−Δt/T})."""
+        lag = float(getattr(self.vehicle.steering, "time_constant", 0.0))
+        share = 1.0 if lag <= 0.0 or not math.isfinite(late) else 1.0 - math.exp(-late / lag)
+        return self._delta + share * (self._acting(self._asked)[0] - self._delta)
+
+    def _doubt(self, sensed: Sensed, now: float, late: float) -> str:
+        """Return what is wrong with the data; empty where nothing is."""
+        values = sensed._asdict()
+        if bad := [name for name, value in values.items() if not math.isfinite(value) and name != "delta"]:
+            return f"no finite {', '.join(bad)}"
+        if math.isinf(sensed.delta):
+            return "no finite delta"
+        age = now - sensed.time
+        if not -self.period <= age <= self.guard.stale:
+            return f"the data are {age:.2f} s old, at most {self.guard.stale:g} s are allowed"
+        if late > self.guard.slow * self.period:
+            return f"asked after {late:.2f} s, every {self.period:g} s are expected"
+        return ""
+
+    def _stop(self, now: float, why: str, sound: bool = False) -> Order:
+        """Tell the car to stand, its wheels as they were."""
+        self._driving = False
+        if not sound:
+            self._sound_since, self._s = math.nan, None
+        delta_ref = self._given[-1][1]
+        self._given.append((now, delta_ref, 0.0))
+        return Order(delta_ref, 0.0, why)
+
+    def _place(self, state: Tensor) -> Tensor:
+        """Return the car's place (5, 1) on the track, looked for near the last one."""
+        x, y, yaw = state[:3]
+        if self._s is None:
+            apart = (x[:, None] - self.frame.x) ** 2 + (y[:, None] - self.frame.y) ** 2
+            self._s = apart.argmin(dim=1) * self.frame.spacing
+        place, _ = self.frame.locate(x, y, yaw, self._s)
+        self._s = place[0]
+        return place
+
+    def _constant(self, numbers: Sequence[float]) -> Tensor:
+        key = tuple(numbers)
+        if key not in self._constants:
+            self._constants[key] = torch.tensor(key)
+        return self._constants[key]

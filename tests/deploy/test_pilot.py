@@ -1,0 +1,127 @@
+"""A policy at the wheel: it drives as in a race, ahead of its data's age, and stands where they cannot be trusted."""
+
+import math
+
+import pytest
+import torch
+
+from racerl.config import compose_settings
+from racerl.control.policy import Policy, build_network, load_policy
+from racerl.deploy.pilot import Guard, Pilot, Sensed
+from racerl.errors import RacerlError
+from racerl.evaluate.evaluate import build_evaluation_race
+from racerl.vehicle.integrate import advance
+from racerl.vehicle.ops import TORCH
+
+DT = 0.05
+AT_ONCE = Guard(settle=0.0)
+
+
+@pytest.fixture
+def race(smoke_run):
+    """Return a race of one car, as the policy was trained in."""
+    settings = compose_settings("train", ["dr=none"])
+    return build_evaluation_race(settings, [0], torch.device("cpu"))
+
+
+def sensed(race, time):
+    return Sensed(time, *race.state[:8, 0].tolist())
+
+
+def awake(pilot, what, now):
+    """Let a pilot see sound data once, after which it may drive."""
+    return pilot.drive(what._replace(time=now), now)
+
+
+def test_it_gives_the_orders_that_the_policy_gives_in_a_race(race, smoke_run):
+    policy, pilot = load_policy(smoke_run), Pilot(smoke_run, guard=Guard(off_track=9.0, settle=0.0))
+    for number in range(25):
+        now = number * DT
+        order = pilot.drive(sensed(race, now), now)
+        step = race.step(policy.act(race))
+        if bool(step.terminated.any()):
+            break
+        assert order.why == "" and number < 24
+        assert order.delta_ref == pytest.approx(float(step.command[0]), abs=1e-5)
+        assert order.drive_ref == pytest.approx(float(step.command[1]), abs=1e-4)
+    assert number > 5
+
+
+def test_what_is_old_and_acts_late_is_driven_forward_with_the_orders_that_act_then(race, smoke_run):
+    pilot = Pilot(smoke_run, delay=0.02, guard=AT_ONCE)
+    start = Sensed(0.0, *race.state[:8, 0].tolist())
+    orders = []
+    for number in range(3):
+        now = number * DT
+        orders.append(pilot.drive(start._replace(time=now), now))
+    measured = start._replace(time=0.09)
+    found = pilot.predict(measured, 0.13)
+    state, race_vehicle = torch.tensor(start[1:])[:, None], race.vehicle
+    for begins, order in ((0.09, orders[1]), (0.12, orders[2])):  # the third acts from 0.10 + 0.02 on
+        command = torch.tensor([[order.delta_ref], [order.drive_ref]])
+        steps = 6 if begins == 0.09 else 2
+        state = advance(race_vehicle, state, command, 0.005, steps, TORCH)
+    assert torch.allclose(found, state, atol=1e-5)
+    assert not torch.allclose(found[:2], torch.tensor(start[1:3])[:, None], atol=0.01)
+
+
+def test_a_steering_angle_that_nobody_measures_is_the_models(race, smoke_run):
+    pilot = Pilot(smoke_run, guard=AT_ONCE)
+    pilot.policy = Policy(constant(pilot, 0.6), pilot.policy.observation, pilot.policy.action)
+    lag = float(pilot.vehicle.steering.time_constant)
+    for number in range(4):
+        now = number * DT
+        order = pilot.drive(sensed(race, now)._replace(delta=math.nan), now)
+    assert order.delta_ref == pytest.approx(0.3)
+    # three periods after the first order
+    assert float(pilot.predict(sensed(race, now)._replace(delta=math.nan), now)[6]) == pytest.approx(
+        0.3 * (1.0 - math.exp(-3 * DT / lag)), abs=1e-4
+    )
+
+
+def constant(pilot, steering):
+    """Return a network that always steers so."""
+    network = build_network([pilot.observation.size, 2])
+    torch.nn.init.zeros_(network[0].weight)
+    network[0].bias.data = torch.tensor([steering, 0.2])
+    return network.requires_grad_(False)
+
+
+@pytest.mark.parametrize(
+    ("change", "late", "said"),
+    [
+        ({"yaw": math.nan}, DT, "no finite yaw"),
+        ({"v_x": math.inf, "omega": math.nan}, DT, "no finite v_x, omega"),
+        ({"delta": math.inf}, DT, "no finite delta"),
+        ({"time": 1.0 - 0.25}, DT, "the data are 0.30 s old"),
+        ({"time": 1.0 + 2 * DT}, DT, "the data are -0.05 s old"),
+        ({"x": 40.0, "y": -30.0}, DT, "m off the track"),
+        ({}, 3 * DT, "asked after 0.15 s"),
+    ],
+)
+def test_it_stands_where_it_must_not_drive_and_drives_again_after_a_while(race, smoke_run, change, late, said):
+    pilot = Pilot(smoke_run, guard=Guard(settle=0.2))
+    what, now, waited = sensed(race, 0.0), 1.0, 0
+    while (order := awake(pilot, what, now)).why:
+        assert order.drive_ref == 0.0 and "sound" in order.why
+        now, waited = now + DT, waited + 1
+        assert waited < 10
+    assert waited == 4 and order.drive_ref > 0.0
+    now += late
+    bad = what._replace(time=now)._replace(**{key: value for key, value in change.items() if key != "time"})
+    bad = bad._replace(time=now + change["time"] - 1.0 - DT) if "time" in change else bad
+    stopped = pilot.drive(bad, now)
+    assert stopped.drive_ref == 0.0 and said in stopped.why and stopped.delta_ref == order.delta_ref
+    again = [awake(pilot, what, now + DT * (1 + number)) for number in range(6)]
+    assert [not each.why for each in again] == [False] * 4 + [True] * 2
+    first = again[4]
+    assert first.drive_ref == pytest.approx(what.omega, abs=0.3)  # goes on from where the wheel is
+
+
+def test_a_run_that_cannot_drive_is_told(tmp_path, smoke_run):
+    with pytest.raises(RacerlError, match="no racerl run folder"):
+        Pilot(tmp_path)
+    with pytest.raises(RacerlError, match=r"guard\.stale = -1"):
+        Guard(stale=-1.0)
+    with pytest.raises(RacerlError, match="delay = 3"):
+        Pilot(smoke_run, delay=3.0)
