@@ -257,7 +257,8 @@ def sweep(
     """Train and race every arm of an ablation: racerl sweep ablations
 
     One process per training, as many at once as there are cores; finished ones are passed over, interrupted ones go
-    on. Own groups and keys: engine seeds cars twins laps starts threads out; other words are racerl train's: budget=smoke.
+    on. Own groups and keys: engine seeds cars twins laps starts threads out; other words are racerl train's, for
+    instance budget=smoke.
     """
     from racerl.config import gather_words
     from racerl.sweep.definition import names, read_sweeps

@@ -29,6 +29,7 @@ from racerl.vehicle.vehicle import STATE
 
 STEP = 0.005  # s, of the prediction
 CPU = torch.device("cpu")
+DELTA, OMEGA = STATE.index("delta"), STATE.index("omega")
 
 
 class Sensed(NamedTuple):
@@ -114,12 +115,12 @@ class Pilot:
             self._sound_since = now
         if now - self._sound_since < self.guard.settle - 1e-6:
             return self._stop(now, "waiting until the data have been sound for a while", sound=True)
-        return self._order(state, place, sensed, now)
+        return self._order(state, place, now)
 
-    def _order(self, state: Tensor, place: Tensor, sensed: Sensed, now: float) -> Order:
+    def _order(self, state: Tensor, place: Tensor, now: float) -> Order:
         steering, drive = self._given[-1][1:]
         if not self._driving:
-            drive, self._rate = float(self.action.initial(torch.tensor([sensed.omega]))), 0.0
+            drive, self._rate = float(self.action.initial(state[OMEGA])), 0.0
         last, rate = torch.tensor([[steering], [drive]]), torch.tensor([self._rate])
         view = View(state, place, last, rate, self.frame, self.action, self._constant)
         seen = self.observation(view).clamp_(-OBSERVATION_LIMIT, OBSERVATION_LIMIT)
@@ -136,7 +137,7 @@ class Pilot:
         """Return the state (S, 1) at a later time, driven by the orders that act until then."""
         measured = list(sensed[1:])
         if math.isnan(sensed.delta):
-            measured[STATE.index("delta")] = self._delta
+            measured[DELTA] = self._delta
         rest = [0.0] * (len(self.vehicle.states) - len(STATE))
         state = torch.tensor([*measured, *rest])[:, None]
         time = sensed.time

@@ -65,6 +65,28 @@ def test_what_is_old_and_acts_late_is_driven_forward_with_the_orders_that_act_th
     assert not torch.allclose(found[:2], torch.tensor(start[1:3])[:, None], atol=0.01)
 
 
+def test_its_orders_are_for_the_car_as_it_will_be(race, smoke_run):
+    """Data of 0.1 s ago and what they have come to by now ask for the same."""
+    late, soon = (Pilot(smoke_run, guard=AT_ONCE) for _ in range(2))
+    for pilot in (late, soon):
+        pilot.policy = Policy(turning(pilot), pilot.policy.observation, pilot.policy.action)
+    before = Sensed(0.0, *race.state[:8, 0].tolist())._replace(yaw_rate=1.0, v_x=2.0, omega=2.0)
+    come = late.predict(before, 0.1)[:8, 0].tolist()
+    first, second = late.drive(before, 0.1), soon.drive(Sensed(0.1, *come), 0.1)
+    assert first[:2] == pytest.approx(second[:2], abs=1e-5)
+    there = Pilot(smoke_run, guard=AT_ONCE)
+    there.policy = late.policy
+    assert there.drive(before._replace(time=0.1), 0.1).delta_ref != pytest.approx(first.delta_ref, abs=1e-3)
+
+
+def turning(pilot):
+    """Return a network that steers by where it is and how it turns."""
+    torch.manual_seed(0)
+    network = build_network([pilot.observation.size, 2])
+    torch.nn.init.normal_(network[0].weight, std=0.15)
+    return network.requires_grad_(False)
+
+
 def test_a_steering_angle_that_nobody_measures_is_the_models(race, smoke_run):
     pilot = Pilot(smoke_run, guard=AT_ONCE)
     pilot.policy = Policy(constant(pilot, 0.6), pilot.policy.observation, pilot.policy.action)

@@ -10,14 +10,18 @@ import sys
 import time
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from racerl.config import compose_settings, gather_words
 from racerl.errors import RacerlError
+from racerl.sweep import engine
 from racerl.sweep.definition import read_sweeps
+from racerl.sweep.engine import STOPS, Engine, Slot
 from racerl.sweep.jobs import plan
 from racerl.sweep.sweep import sweep as stage
+from racerl.sweep.work import STOPPED
 
 ARMS = {"a": ["dr=none"], "b": ["sim=no_actuators"]}
 CLAIM = "{metric: turn_in, contrast: {a: 1, b: -1}, above: 0}"
@@ -148,6 +152,28 @@ def test_a_job_that_fails_takes_no_other_along(place, run):
     again = run("sweep", "mine", *SMALL, *words)
     assert again.returncode == 0, again.stderr  # tried again
     assert json.loads((out / "results.json").read_text())["failed"] == {}
+
+
+@pytest.mark.parametrize(
+    ("stopped", "retries", "submitted", "failed"),
+    [(3, 0, 4, 0), (0, 0, 1, 1), (0, 2, 3, 1), (10_000, 0, STOPS + 1, 1)],
+)
+def test_only_what_was_not_asked_to_end_is_a_failed_try(tmp_path, monkeypatch, stopped, retries, submitted, failed):
+    job, made = SimpleNamespace(name="a", path=tmp_path / "a", done=False), []
+    job.path.mkdir()
+
+    def submit(self, job):
+        made.append(job)
+        if len(made) <= stopped:
+            (job.path / STOPPED).touch()
+        job.done = stopped > 0 and len(made) == stopped + 1
+        handle = SimpleNamespace(done=lambda: True, stdout=lambda: "", cancel=lambda: None)
+        return Slot(job, handle, tmp_path / "pickles")
+
+    monkeypatch.setattr(Engine, "_submit", submit)
+    monkeypatch.setattr(engine, "PERIOD", {"local": 0.0})
+    found = Engine({"name": "local", "jobs": 1, "retries": retries}, 1, tmp_path).run([job])
+    assert (len(made), len(found)) == (submitted, failed)
 
 
 @pytest.mark.slow
