@@ -83,7 +83,8 @@ def turning(pilot):
     """Return a network that steers by where it is and how it turns."""
     torch.manual_seed(0)
     network = build_network([pilot.observation.size, 2])
-    torch.nn.init.normal_(network[0].weight, std=0.15)
+    torch.nn.init.normal_(network[0].weight, std=0.1)
+    torch.nn.init.zeros_(network[0].bias)
     return network.requires_grad_(False)
 
 
