@@ -146,7 +146,17 @@ def test_before_the_wheel_is_heard_it_stands(ros, bag, smoke_run):
     clock = Clock()
     pilot = make_node(clock=clock)
     play(pilot, clock, [each for each in bag[:600] if each[1] == "/pose"])
-    assert {message.drive.speed for _, message in pilot.published} == {0.0} and "no finite" in pilot.logged[-1]
+    assert {message.drive.speed for _, message in pilot.published} == {0.0} and "no finite omega" in pilot.logged[-1]
+    assert len(pilot.logged) <= 2  # v_x is missing at first
+
+
+def test_a_wheel_that_falls_silent_stops_it(ros, bag, smoke_run):
+    Node.given = {"run": str(smoke_run), "guard.off_track": 100.0, "latency": 0.01}
+    clock = Clock()
+    pilot = make_node(clock=clock)
+    play(pilot, clock, [each for each in bag if each[0] < 3.0 and (each[0] < 2.0 or each[1] == "/pose")])
+    speeds = [message.drive.speed for _, message in pilot.published]
+    assert min(speeds[12:40]) > 0.0 and set(speeds[46:]) == {0.0} and "no finite omega" in pilot.logged[-1]
 
 
 def test_velocities_are_those_of_the_poses(bag):

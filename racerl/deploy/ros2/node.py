@@ -7,6 +7,7 @@ measures it not.
 """
 
 import math
+import re
 import time
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from racerl.deploy.ros2.motion import Velocities
 PARAMETERS: dict[str, Any] = {
     "run": "",  # folder of the training
     "delay": 0.0,  # s by which orders act late, on top of what the run's vehicle says
+    "latency": 0.0,  # s by which poses are old when they arrive
     "most_speed": 7.0,  # m/s, of the orders: begin slowly
     "pose_topic": "/pose",
     "odometry": False,  # whether that is nav_msgs/Odometry
@@ -86,13 +88,12 @@ def make_node(pilot_of: Any = Pilot, clock: Any = time.monotonic) -> Any:
         def tick(self) -> None:
             """Ask the pilot, and tell the car."""
             now = clock()
-            oldest = min(self.arrived, self.wheel_arrived)  # NaN where one has never come: never fresh
-            sensed = Sensed(
-                oldest if not math.isnan(self.wheel_arrived) else math.nan, *self.moved, math.nan, self.omega
-            )
+            heard = now - self.wheel_arrived <= self.given["guard.stale"]
+            measured = self.arrived - self.given["latency"]
+            sensed = Sensed(measured, *self.moved, math.nan, self.omega if heard else math.nan)
             order = self.pilot.drive(sensed, now)
             self.driven += not order.why
-            if order.why != self.told:
+            if _kind(order.why) != _kind(self.told):  # not at every tick that data grow older
                 self.get_logger().warning(f"standing: {order.why}" if order.why else "driving")
             self.told = order.why
             self.drive.publish(self._message(order))
@@ -117,6 +118,10 @@ def make_node(pilot_of: Any = Pilot, clock: Any = time.monotonic) -> Any:
             return x, pose.position.y + forward * sine + left * cosine, yaw
 
     return PilotNode()
+
+
+def _kind(why: str) -> str:
+    return re.sub(r"-?[\d.]+", "", why)
 
 
 def main() -> None:
