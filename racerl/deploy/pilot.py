@@ -164,14 +164,16 @@ class Pilot:
 
     def _doubt(self, sensed: Sensed, now: float, late: float) -> str:
         """Return what is wrong with the data; empty where nothing is."""
+        if not math.isfinite(sensed.time):
+            return "nothing was measured yet"
+        age = now - sensed.time
+        if not -self.period <= age <= self.guard.stale:
+            return f"the data are {age:.2f} s old, at most {self.guard.stale:g} s are allowed"
         values = sensed._asdict()
         if bad := [name for name, value in values.items() if not math.isfinite(value) and name != "delta"]:
             return f"no finite {', '.join(bad)}"
         if math.isinf(sensed.delta):
             return "no finite delta"
-        age = now - sensed.time
-        if not -self.period <= age <= self.guard.stale:
-            return f"the data are {age:.2f} s old, at most {self.guard.stale:g} s are allowed"
         if late > self.guard.slow * self.period:
             return f"asked after {late:.2f} s, every {self.period:g} s are expected"
         return ""

@@ -147,7 +147,7 @@ def test_before_the_wheel_is_heard_it_stands(ros, bag, smoke_run):
     pilot = make_node(clock=clock)
     play(pilot, clock, [each for each in bag[:600] if each[1] == "/pose"])
     assert {message.drive.speed for _, message in pilot.published} == {0.0} and "no finite omega" in pilot.logged[-1]
-    assert len(pilot.logged) <= 2  # v_x is missing at first
+    assert len(pilot.logged) <= 3  # velocities take some poses
 
 
 def test_a_wheel_that_falls_silent_stops_it(ros, bag, smoke_run):
