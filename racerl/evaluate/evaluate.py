@@ -40,6 +40,7 @@ def evaluate(
     origin = origin_of(run)
     seeds, laps = seeds_of(settings["seeds"]), bounds.whole("laps", settings["laps"], 1, 10_000)
     use_threads(settings["threads"])
+    name = label(origin.settings)
     car = construct(Car, settings["car"], "car")
     race_settings = combine(origin.settings, settings, car)
     device = choose_device(settings["device"])
@@ -62,7 +63,7 @@ def evaluate(
         seeds,
         recorder.log(),
         race.track,
-        label=label(origin.settings),
+        label=name,
         car=car.name,
         controller=policy.name,
         floor=floor,
