@@ -32,6 +32,7 @@ from racerl.errors import DocumentError, LogError, RacerlError, suggest
 STORAGES = (".db3", ".mcap")
 MAX_BYTES = 4 * 1024**3  # of a bag's storage files together
 MAX_UNPACKED = 1024**3  # of a zip
+MAX_RATIO, SMALL = 200, 16 * 1024**2  # of its size, by which a zip that is not small may grow
 MAX_CHUNK = 256 * 1024**2  # of an MCAP chunk, unpacked
 MAX_FILES = 64
 MAX_MESSAGES = 5_000_000
@@ -124,8 +125,8 @@ def _storage_files(path: Path, stack: contextlib.ExitStack) -> list[Path]:
 
 def _unpack(path: Path, folder: Path) -> None:
     """Unpack the storage files and the metadata of a zip, by their bare names, under a limit."""
-    left = MAX_UNPACKED
     try:
+        most = left = min(MAX_UNPACKED, max(SMALL, MAX_RATIO * path.stat().st_size))
         with zipfile.ZipFile(path) as archive:
             wanted = [m for m in archive.infolist() if m.filename.lower().endswith((*STORAGES, "metadata.yaml"))]
             names = [Path(member.filename.replace("\\", "/")).name for member in wanted]
@@ -136,7 +137,7 @@ def _unpack(path: Path, folder: Path) -> None:
                     while block := source.read(min(left + 1, 1 << 20)):
                         left -= len(block)
                         if left < 0:
-                            raise LogError(f"{path}: more than {MAX_UNPACKED} bytes when unpacked; split the bag")
+                            raise LogError(f"{path}: more than {most} bytes when unpacked; split the bag")
                         target.write(block)
     except LogError:
         raise

@@ -8,6 +8,7 @@ import zipfile
 import numpy as np
 import pytest
 
+from racerl.data.bag import MAX_RATIO, SMALL
 from racerl.data.load import load_logs
 from racerl.errors import LogError
 from tests.data.conftest import mapping, measured, write_bag
@@ -113,6 +114,14 @@ def test_compressed_bags_say_how_to_convert_them(tmp_path):
         pytest.fail("the metadata has another layout")
     with pytest.raises(LogError, match="convert it first"):
         load(file.parent)
+
+
+def test_a_zip_that_grows_beyond_all_measure_is_not_unpacked(tmp_path):
+    path = tmp_path / "bomb.zip"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("a.db3", bytes(60_000_000))
+    with pytest.raises(LogError, match=f"more than {max(SMALL, MAX_RATIO * path.stat().st_size)} bytes when unpacked"):
+        load(path)
 
 
 def test_a_zip_bomb_and_a_climbing_name_are_harmless(tmp_path, monkeypatch):
