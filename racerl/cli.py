@@ -815,8 +815,8 @@ def main() -> None:
     try:
         with completion.for_bash():
             code = app(completion.as_commands(sys.argv[1:]), standalone_mode=False)
-    except (KeyboardInterrupt, typer.Abort):
-        raise SystemExit(130) from None
+    except (KeyboardInterrupt, typer.Abort) as error:  # Typer's own, where nothing had begun
+        raise SystemExit(128 + getattr(behind(error), "number", signal.SIGINT)) from None
     except Exception as error:
         # Typer's own complaints are not exported as one class; all of them can format themselves
         complaint = error.format_message() if hasattr(error, "format_message") else None

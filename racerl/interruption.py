@@ -9,6 +9,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from types import FrameType
 from typing import Any
 
@@ -43,6 +44,29 @@ def behind(error: BaseException | None) -> KeyboardInterrupt | None:
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error
+
+
+@contextmanager
+def not_swallowed() -> Iterator[None]:
+    """Let an interruption go on that a library in C ends its work for, but does not raise."""
+    asked: list[Callable[[], Any]] = []
+
+    def hear(before: Callable[[int, FrameType | None], Any], number: int, frame: FrameType | None) -> None:
+        asked.append(lambda: before(number, None))
+        before(number, frame)
+
+    handlers = {}
+    if threading.current_thread() is threading.main_thread():
+        handlers = {number: before for number in SIGNALS if callable(before := signal.getsignal(number))}
+    for number, before in handlers.items():
+        signal.signal(number, partial(hear, before))
+    try:
+        yield
+    finally:
+        for number, before in handlers.items():
+            signal.signal(number, before)
+        for again in asked[:1]:
+            again()
 
 
 class Held:

@@ -5,11 +5,15 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 
+import casadi
+import numpy as np
 import pytest
 
-from racerl.interruption import Terminated, behind, held_back, listen
+from racerl.interruption import Terminated, _end, behind, held_back, listen, not_swallowed
+from racerl.optimum.collocation import minimise
 
 CODE = """
 import sys
@@ -52,6 +56,31 @@ def test_the_first_is_held_back_until_work_is_kept(number, caplog):
         asked.release()
         kept.append("never")
     assert kept == ["work"] and "ask again to leave at once" in caplog.text
+
+
+def test_a_library_that_swallows_it_does_not_keep_it():
+    listen()
+    kept = []
+    with pytest.raises(Terminated) as stop, not_swallowed():
+        try:
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(1.0)
+        except KeyboardInterrupt:
+            kept.append("asked")  # and the library returns as if nothing had been
+    assert kept == ["asked"] and stop.value.number == signal.SIGTERM
+    assert signal.getsignal(signal.SIGTERM) is _end
+    with not_swallowed():
+        pass
+
+
+def test_ipopt_that_is_asked_to_stop_is_no_failed_problem():
+    """CasADi ends ipopt then, and goes on."""
+    listen()
+    x, start = casadi.MX.sym("x", 3000), np.full(3000, -1.2)
+    cost = casadi.sum1(100.0 * (x[1:] - x[:-1] ** 2) ** 2 + (1.0 - x[:-1]) ** 2)  # 500 iterations in vain
+    threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGTERM)).start()
+    with pytest.raises(Terminated):
+        minimise(cost, x, casadi.MX(0, 1), start, start - 9.0, start + 9.0)
 
 
 def test_a_library_that_raises_something_else_was_interrupted_all_the_same():

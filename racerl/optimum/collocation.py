@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from racerl.env.actions import Action, half_range, middle
 from racerl.errors import OptimumError
+from racerl.interruption import not_swallowed
 from racerl.optimum.along import DELTA, OMEGA, V_X, V_Y, XI, YAW_RATE, N, motion, scales
 from racerl.optimum.corridor import Corridor, Stretch
 from racerl.vehicle.vehicle import Vehicle
@@ -215,7 +216,8 @@ def minimise(
     greatest = np.concatenate([np.zeros(equal.numel()), np.full(constraints.numel() - equal.numel(), np.inf)])
     problem: Any = {"x": unknowns, "f": cost, "g": constraints}
     solver = casadi.nlpsol("lap", "ipopt", problem, options)
-    result = solver(x0=np.clip(start, low, high), lbx=low, ubx=high, lbg=0.0, ubg=greatest)
+    with not_swallowed():
+        result = solver(x0=np.clip(start, low, high), lbx=low, ubx=high, lbg=0.0, ubg=greatest)
     stats = solver.stats()
     if not stats["success"]:
         raise OptimumError(
