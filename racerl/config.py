@@ -27,7 +27,7 @@ from omegaconf.errors import OmegaConfBaseException
 from racerl.choices import choices, default_groups, optional_groups, own_keys
 from racerl.documents import conf_folder, read_yaml, require_finite
 from racerl.errors import ConfigError, DocumentError, suggest
-from racerl.run import WORDS
+from racerl.run import CARS, WORDS
 
 if TYPE_CHECKING:
     from racerl.env.adapters.gymnasium import RaceEnv, RaceVectorEnv
@@ -51,7 +51,7 @@ PATHS = {  # positional keys that name files or folders, and what is allowed
     "runs": "finished runs",
     "drivers": "finished evaluate, drive or train runs, paper:rl or paper:human",
 }
-POSTERIOR, CARS = "posterior:", "cars.parquet"  # dr=posterior:RUN, and what it draws from
+POSTERIOR = "posterior:"  # in front of a run, as dr=posterior:RUN
 PAPER = "paper:"  # in place of a path: the paper's own laps
 VALUED = ("--cfg", "-c", "--info", "-i", "--package", "-p", "--config-dir", "-cd", "--config-name", "-cn")
 OPTIONS = (*VALUED, "--multirun", "-m", "--resolve", "--hydra-help", "--help")

@@ -14,15 +14,15 @@ from typing import Any
 import numpy as np
 import torch
 
-from racerl.assemble import build_action, build_timing, build_track
-from racerl.control.policy import Policy, load_policy
+from racerl.control.policy import Policy
 from racerl.deploy.c_header import c_header
 from racerl.deploy.driver import Array, Driver
+from racerl.deploy.trained import load_trained
 from racerl.documents import write_bytes, write_json, write_text
 from racerl.env.actions import Action
-from racerl.env.observations import OBSERVATION_LIMIT, create_observation
-from racerl.errors import ConfigError, PolicyError, RunError
-from racerl.evaluate.evaluate import label, origin_of
+from racerl.env.observations import OBSERVATION_LIMIT
+from racerl.errors import ConfigError, RunError
+from racerl.evaluate.evaluate import label
 from racerl.run import RunFolder
 from racerl.vehicle.compiler import find_compiler
 from racerl.vehicle.load import vehicle_document
@@ -43,15 +43,10 @@ def export(settings: Mapping[str, Any], out: Path) -> dict[str, Any]:
         from racerl.deploy.onnx_file import onnx_bytes
     except ImportError as error:
         raise ConfigError("racerl export needs onnx: in your clone, pip install -e '.[export]'") from error
-    run = Path(settings["run"])
-    origin, policy = origin_of(run), load_policy(run)
-    learned, manifest = origin.settings, origin.training.manifest
-    track, dt = build_track(learned), build_timing(learned).dt
-    action = build_action({**learned, "action": policy.action})
-    observation = create_observation(policy.observation).fitted(track)
-    if observation.size != policy.sizes[0]:
-        raise PolicyError(f"{run}: reads {policy.sizes[0]} numbers, its observation has {observation.size}")
-    driver = Driver.of(policy, observation, action, dt)
+    trained = load_trained(Path(settings["run"]))
+    policy, action, dt = trained.policy, trained.action, trained.dt
+    origin, learned, manifest = trained.origin, trained.origin.settings, trained.origin.training.manifest
+    driver = Driver.of(policy, trained.observation, action, dt)
     card = {
         "policy": label(learned),
         **_interface(driver, action, dt),
@@ -59,7 +54,7 @@ def export(settings: Mapping[str, Any], out: Path) -> dict[str, Any]:
         "observation": dict(policy.observation),
         "action": dict(policy.action),
         "vehicle": vehicle_document(learned["vehicle"], {}, "wheel_speed"),
-        "track": {"name": Path(str(learned["track"]["file"])).stem, "length_m": track.length},
+        "track": {"name": Path(str(learned["track"]["file"])).stem, "length_m": trained.track.length},
         "trained": {**origin.course, "best": manifest.get("best")},
         "manifest": {key: manifest.get(key) for key in ("run_id", "git_sha", "racerl", "seed", "threads", "words")},
     }

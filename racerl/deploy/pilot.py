@@ -7,7 +7,6 @@ it sees is computed by the observation that it was trained with.
 
 import math
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -16,12 +15,9 @@ import torch
 from torch import Tensor
 
 from racerl import bounds
-from racerl.assemble import build_action, build_timing, build_track
-from racerl.control.policy import load_policy
-from racerl.env.observations import OBSERVATION_LIMIT, create_observation
-from racerl.env.race import View
-from racerl.errors import PolicyError
-from racerl.evaluate.evaluate import origin_of
+from racerl.deploy.trained import load_trained
+from racerl.env.observations import scaled
+from racerl.env.race import Constants, View
 from racerl.track.frenet import FrenetFrame
 from racerl.vehicle.kernel import choose_motion
 from racerl.vehicle.load import load_vehicle
@@ -75,25 +71,19 @@ class Pilot:
     """
 
     def __init__(self, run: Path, delay: float = 0.0, guard: Guard | None = None) -> None:
-        origin, self.policy = origin_of(run), load_policy(run)
-        settings = {**origin.settings, "action": self.policy.action}
-        track = build_track(settings)
-        self.frame = FrenetFrame(track, CPU, torch.float32)
+        trained = load_trained(run)
+        self.policy, self.observation, self.action = trained.policy, trained.observation, trained.action
+        self.period = trained.dt
+        self.frame = FrenetFrame(trained.track, CPU, torch.float32)
+        settings = trained.origin.settings
         # a real car has actuators, whatever the policy was trained with
         self.vehicle = load_vehicle(settings["vehicle"], drive=settings["sim"]["drive"])
-        self.action = build_action(settings)
-        self.observation = create_observation(self.policy.observation).fitted(track)
-        if self.observation.size != self.policy.sizes[0]:
-            raise PolicyError(
-                f"{run}: reads {self.policy.sizes[0]} numbers, its observation has {self.observation.size}"
-            )
-        self.period = build_timing(settings).dt
         self.delay = bounds.number("delay", delay, 0.0, 1.0, "s")
         self.guard = guard or Guard()
         self._motion = choose_motion(self.vehicle, (), STEP, 1, CPU, torch.float32)
         # time, δ_ref, drive reference
         self._given: deque[tuple[float, float, float]] = deque([(-math.inf, 0.0, 0.0)], maxlen=1000)
-        self._constants: dict[tuple[float, ...], Tensor] = {}
+        self._constant = Constants(CPU, torch.float32)
         self._s: Tensor | None = None
         self._sound_since = self._asked = math.nan
         self._delta = 0.0  # as the steering's model has it
@@ -123,8 +113,7 @@ class Pilot:
             drive, self._rate = float(self.action.initial(state[OMEGA])), 0.0
         last, rate = torch.tensor([[steering], [drive]]), torch.tensor([self._rate])
         view = View(state, place, last, rate, self.frame, self.action, self._constant)
-        seen = self.observation(view).clamp_(-OBSERVATION_LIMIT, OBSERVATION_LIMIT)
-        command = self.action.command(self.policy(seen), last, self.period)
+        command = self.action.command(self.policy(scaled(self.observation, view)), last, self.period)
         self._driving = True
         delta_ref, drive_ref = command[:, 0].tolist()
         if not (math.isfinite(delta_ref) and math.isfinite(drive_ref)):
@@ -191,14 +180,7 @@ class Pilot:
         """Return the car's place (5, 1) on the track, looked for near the last one."""
         x, y, yaw = state[:3]
         if self._s is None:
-            apart = (x[:, None] - self.frame.x) ** 2 + (y[:, None] - self.frame.y) ** 2
-            self._s = apart.argmin(dim=1) * self.frame.spacing
+            self._s = self.frame.nearest(x, y)
         place, _ = self.frame.locate(x, y, yaw, self._s)
         self._s = place[0]
         return place
-
-    def _constant(self, numbers: Sequence[float]) -> Tensor:
-        key = tuple(numbers)
-        if key not in self._constants:
-            self._constants[key] = torch.tensor(key)
-        return self._constants[key]

@@ -8,7 +8,7 @@ All arrays are tensors of shape (N,) unless said otherwise.
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -17,7 +17,7 @@ from racerl.env.actions import Action
 from racerl.env.black_box import BlackBox
 from racerl.env.chosen import Chosen, Masked, Numbered
 from racerl.env.dice import Dice
-from racerl.env.observations import OBSERVATION_LIMIT, Observation
+from racerl.env.observations import Observation, scaled
 from racerl.env.randomize import ParameterDraws, Randomization
 from racerl.env.reward import progress_reward
 from racerl.env.sensing import samples, seen, shown
@@ -86,6 +86,21 @@ class Step(NamedTuple):
     faulty: Tensor  # the simulation failed (NaN) and the car was started over
 
 
+class Constants:
+    """Numbers as tensors of a kind, made once."""
+
+    def __init__(self, device: torch.device, dtype: torch.dtype) -> None:
+        self._kind: dict[str, Any] = {"device": device, "dtype": dtype}
+        self._made: dict[tuple[float, ...], Tensor] = {}
+
+    def __call__(self, numbers: Sequence[float]) -> Tensor:
+        """Return numbers (N,) as a tensor."""
+        key = tuple(numbers)
+        if key not in self._made:
+            self._made[key] = torch.tensor(key, **self._kind)
+        return self._made[key]
+
+
 class Rows:
     """The rows of the cars' states and places by name, each (N,)."""
 
@@ -147,6 +162,7 @@ class Race(Rows):
         self.observation = self.observation.fitted(self.track)
         self.dice = Dice(self.seeds, self.count, self.device, self.dtype)
         self.frame = FrenetFrame(self.track, self.device, self.dtype)
+        self.constant = Constants(self.device, self.dtype)
         self.draws = ParameterDraws(self.vehicle, self.randomization, self.count, self.device, self.dtype)
         late = periods(self.vehicle, self.timing.dt)
         # commands that act late change within a control step: then the steps are taken one by one
@@ -163,7 +179,6 @@ class Race(Rows):
         self.waits = self.device.type == "cpu" or len(self.seeds) > 1
         self._faults = torch.zeros((), device=self.device, dtype=torch.long)
         self._nobody = torch.zeros(self.count, device=self.device, dtype=torch.bool)
-        self._constants: dict[tuple[float, ...], Tensor] = {}
         zeros = torch.zeros(self.count, device=self.device, dtype=self.dtype)
         self.state = torch.zeros(len(self.vehicle.states), self.count, device=self.device, dtype=self.dtype)
         self.command = torch.zeros(2, self.count, device=self.device, dtype=self.dtype)
@@ -183,13 +198,6 @@ class Race(Rows):
         self.age = torch.zeros(self.count, device=self.device, dtype=torch.long)  # control steps
         self.reset()
 
-    def constant(self, numbers: Sequence[float]) -> Tensor:
-        """Return numbers as a tensor beside the race's own, made once."""
-        key = tuple(numbers)
-        if key not in self._constants:
-            self._constants[key] = torch.tensor(key, device=self.device, dtype=self.dtype)
-        return self._constants[key]
-
     def seen(self) -> tuple[Tensor, Tensor]:
         """Return states (S, N) and places (5, N) as the driver's sensors show them."""
         if not self._sensed:
@@ -208,8 +216,7 @@ class Race(Rows):
 
     def observe(self, chosen: Chosen | None = None) -> Tensor:
         """Return the observation (N, O), inside ± OBSERVATION_LIMIT, of all cars or of some."""
-        view = View.of(self, chosen)
-        return self.observation(view).clamp_(-OBSERVATION_LIMIT, OBSERVATION_LIMIT)
+        return scaled(self.observation, View.of(self, chosen))
 
     def reset(self) -> Tensor:
         """Start all cars over; return the observation (N, O)."""
@@ -218,9 +225,7 @@ class Race(Rows):
 
     def put(self, cars: Tensor, state: Tensor, command: Tensor) -> None:
         """Begin the episodes of the cars of these numbers (K,) in states (S, K), with commands (2, K) behind them."""
-        apart = (state[X][:, None] - self.frame.x) ** 2 + (state[Y][:, None] - self.frame.y) ** 2
-        near = apart.argmin(dim=1) * self.frame.spacing
-        place, _ = self.frame.locate(state[X], state[Y], state[YAW], near)
+        place, _ = self.frame.locate(state[X], state[Y], state[YAW], self.frame.nearest(state[X], state[Y]))
         self._begin(Numbered(cars), state, command, place)
 
     def reseed(self, seeds: Sequence[int]) -> None:

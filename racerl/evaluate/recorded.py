@@ -87,8 +87,7 @@ def _places(track: Track, rows: pd.DataFrame) -> tuple[Tensor, NDArray[np.float6
     """Return the places (5, K) of a run's samples, each followed from the one before, and the way travelled in m."""
     frame = FrenetFrame(track)
     x, y, yaw = (torch.tensor(rows[name].to_numpy(), dtype=torch.float32) for name in POSE)
-    apart = (x[0] - frame.x) ** 2 + (y[0] - frame.y) ** 2
-    place, _ = frame.locate(x[:1], y[:1], yaw[:1], apart.argmin()[None] * frame.spacing)
+    place, _ = frame.locate(x[:1], y[:1], yaw[:1], frame.nearest(x[:1], y[:1]))
     places, travelled = [place], [float(place[0])]
     for i in range(1, len(rows)):
         place, way = frame.locate(x[i : i + 1], y[i : i + 1], yaw[i : i + 1], place[0])

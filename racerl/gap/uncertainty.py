@@ -11,11 +11,10 @@ from racerl.gap.checkpoint import Parts
 from racerl.gap.fitted_model import COG, FittedModel
 from racerl.gap.folds import blocks
 from racerl.gap.investigation import Investigation
-from racerl.vehicle.cars import normal_cars
+from racerl.identify.uncertainty import normal
 from racerl.vehicle.vehicle import Vehicle
 
 Array = NDArray[np.float64]
-CARS = 1000  # that are drawn from what a fit leaves possible
 FAR = 2.0  # prior deviations, beyond which a refitted parameter is a clue in itself
 FORM = 0.05  # deviation, as a share, between the parameters of an effect's forms where it has many (development logs)
 EXACT = 0.01  # the same, where it has one
@@ -49,7 +48,7 @@ def possible_cars(investigation: Investigation, found: FittedModel, seed: int) -
     sure = deviations(investigation, found)
     variance = [sure[name] ** 2 + _form(found.vehicle, name, found.theta[name]) ** 2 for name in names]
     wider = np.maximum(variance - np.diag(covariance), 0.0)  # by the form of an effect, and where the car was weighed
-    return normal_cars(mean, covariance + np.diag(wider), CARS, seed)
+    return mean + normal(covariance + np.diag(wider), np.random.default_rng(seed))
 
 
 def intervals(investigation: Investigation, found: FittedModel) -> dict[str, tuple[float, float, float]]:

@@ -83,7 +83,7 @@ def estimate(
     own = (
         _resample(H_b, g_b, objective.penalty, distance, generator)
         if len(H_b) >= FEWEST_BLOCKS
-        else _normal(noise * with_prior, generator)
+        else normal(noise * with_prior, generator)
     )
     own -= objective.penalty * _surprise(distance, generator) @ with_prior
     moves, covariance = _settled(earlier, theta[settled])
@@ -121,7 +121,8 @@ def _surprise(distance: Array, generator: np.random.Generator) -> Array:
     return generator.standard_normal((RESAMPLES, len(distance))) * np.sqrt(unsure(distance) ** 2 - 1.0)
 
 
-def _normal(covariance: Array, generator: np.random.Generator) -> Array:
+def normal(covariance: Array, generator: np.random.Generator) -> Array:
+    """Return draws (RESAMPLES, P) from N(0, covariance)."""
     values, vectors = np.linalg.eigh(covariance)
     return generator.standard_normal((RESAMPLES, len(values))) * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
 

@@ -18,10 +18,11 @@ from racerl.report.interval import draw as draw_interval
 from racerl.report.page import figure, interval, number, provenance, write_page
 from racerl.report.subjects import Evaluation, find_subjects
 from racerl.run import RunFolder
-from racerl.sweep.conclusions import POLICIES, banner, grouped, headline, of, policies
+from racerl.sweep.conclusions import POLICIES, banner, grouped, headline, of
 from racerl.sweep.definition import METRICS, OF_TRAINING, TWIN
+from racerl.sweep.jobs import policies
 from racerl.sweep.statistics import power, told
-from racerl.sweep.sweep import LAPS, LEARNING, RESULTS, STEERING, TRAININGS
+from racerl.sweep.sweep import LAPS, LEARNING, RESULTS, STEERING, TRAININGS, of_policy
 
 CURVE = ["sweep", "arm", "seed", "steps", "reward"]  # columns of a learning curve; a sweep of rivals has none
 CURVES = ("track_representation", "action_space")  # sweeps whose arms the paper's Fig. 4 shows
@@ -59,20 +60,15 @@ class Findings:
         """Return the rows of one sweep's arms, policy by policy and car by car."""
         return [row for row in self.facts["arms"] if row["sweep"] == sweep]
 
-    def of_policy(self, table: pd.DataFrame, policy: str) -> pd.DataFrame:
-        """Return a table's rows for a policy, and all rows of arms that were raced with no such policy."""
-        arms = pd.MultiIndex.from_frame(table[["sweep", "arm"]])
-        return table[(table["policy"] == policy) | ~arms.isin(self._raced(policy))]
-
     def rows(self, policy: str) -> list[dict[str, Any]]:
-        """Return the arms' rows likewise."""
+        """Return the arms' rows for a policy, and all rows of arms that were raced with no such policy."""
         rows: list[dict[str, Any]] = self.facts["arms"]
-        raced = self._raced(policy)
-        return [row for row in rows if of(row) == policy or (row["sweep"], row["arm"]) not in raced]
+        table = pd.DataFrame([{"sweep": row["sweep"], "arm": row["arm"], "policy": of(row)} for row in rows])
+        return [rows[i] for i in of_policy(table, self.trainings, policy).index] if rows else []
 
-    def _raced(self, policy: str) -> list[tuple[str, str]]:
-        mine = self.trainings[self.trainings["policy"] == policy]
-        return list(dict.fromkeys(zip(mine["sweep"], mine["arm"], strict=True)))
+    def words(self, policy: str) -> str:
+        """Return a policy in words, where there are several to tell apart."""
+        return POLICIES[policy] if len(self.policies) > 1 else ""
 
     @property
     def colours(self) -> dict[tuple[str, str], str]:
@@ -83,7 +79,7 @@ class Findings:
     @property
     def policies(self) -> list[str]:
         """Policies of a training that were raced, as learned first."""
-        return policies(self.facts["arms"])
+        return policies(map(of, self.facts["arms"]))
 
     @property
     def cars(self) -> list[str]:
@@ -112,7 +108,7 @@ def section(run: Path, out: Path) -> dict[str, Any]:
             "facts": found.facts,
             "headline": headline(found.facts),
             "banner": banner(found.facts),
-            "policies": [POLICIES[policy] for policy in found.policies] if len(found.policies) > 1 else [""],
+            "policies": list(map(found.words, found.policies)),
             "claims": [_claim(same) for same in grouped(found.facts["claims"])],
             "sensitivity": _sensitivity(found.facts),
             "tables": [_table(found, sweep) for sweep in found.facts["sweeps"]],
@@ -139,9 +135,8 @@ def drawn(found: Findings) -> Iterator[tuple[str, str, str, str | None]]:
     )
     for policy in found.policies:
         for name, title, caption, svg in _of_policy(found, policy):
-            several = len(found.policies) > 1
-            words = f", {POLICIES[policy]}" if several else ""
-            yield f"{name}_{policy}" if several else name, title + words, caption, svg
+            words = found.words(policy)
+            yield f"{name}_{policy}" if words else name, f"{title}, {words}" if words else title, caption, svg
     for a, b in DUELS:
         yield (
             f"{a}_and_{b}",
@@ -154,7 +149,7 @@ def drawn(found: Findings) -> Iterator[tuple[str, str, str, str | None]]:
 
 def _of_policy(found: Findings, policy: str) -> Iterator[tuple[str, str, str, str | None]]:
     """Yield name, title, caption and SVG of the figures that there is one of for every policy of a training."""
-    arms, laps = found.rows(policy), found.of_policy(found.laps, policy)
+    arms, laps = found.rows(policy), of_policy(found.laps, found.trainings, policy)
     yield (
         "randomization",
         "Domain randomization (the paper's Fig. 3)",
@@ -170,7 +165,7 @@ def _of_policy(found: Findings, policy: str) -> Iterator[tuple[str, str, str, st
         "turn_in",
         "Steering with and without an actuator model (the paper's Fig. 5)",
         "Measured steering angle along the track; what starts further left turns in earlier.",
-        turn_in.draw(found.of_policy(found.steering, policy), found.cars, found.colours),
+        turn_in.draw(of_policy(found.steering, found.trainings, policy), found.cars, found.colours),
     )
     yield (
         "transfer",
@@ -261,7 +256,7 @@ def _sensitivity(facts: dict[str, Any]) -> dict[str, Any]:
     judged = {(row["sweep"], row["claim"], of(row), row["car"]): row["verdict"] or "no verdict" for row in others}
     rows = []
     for claim in facts["claims"]:
-        which, several = (claim.get("sweep", ""), claim["claim"], of(claim)), len(policies(others)) > 1
+        which, several = (claim.get("sweep", ""), claim["claim"], of(claim)), len(policies(map(of, others))) > 1
         if not cars or (*which, cars[0]) not in judged:
             continue
         own = claim["verdict"] or "no verdict"
@@ -361,7 +356,7 @@ def _table_1(found: Findings) -> list[dict[str, str]]:
             (found.laps["sweep"] == DRIVERS) & (found.laps["arm"] == row["arm"]) & (found.laps["car"] == row["car"])
         ]
         laps = laps[laps["policy"] == of(row)]
-        name = ", ".join(filter(None, (_words(row["arm"]), POLICIES[of(row)] if len(found.policies) > 1 else "")))
+        name = ", ".join(filter(None, (_words(row["arm"]), found.words(of(row)))))
         deviation = laps["time_s"].std()
         rows.append(
             {

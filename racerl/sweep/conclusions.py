@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from racerl.sweep.jobs import LEARNED, REFINED
+from racerl.sweep.jobs import LEARNED, REFINED, policies
 from racerl.sweep.statistics import VERDICTS, told
 
 POLICIES = {"": "", LEARNED: "as learned", REFINED: "refined"}  # in words
@@ -18,7 +18,7 @@ def headline(facts: Mapping[str, Any]) -> str:
     if not claims:
         return f"{facts['jobs']['done']} of {facts['jobs']['planned']} jobs done, no claims to weigh"
     found = {}
-    for policy in policies(claims):
+    for policy in policies(map(of, claims)):
         # what is not trained has one verdict, which counts for all
         counts = Counter(claim["verdict"] for claim in claims if of(claim) in (policy, ""))
         found[policy] = ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS)
@@ -31,11 +31,6 @@ def headline(facts: Mapping[str, Any]) -> str:
 def of(row: Mapping[str, Any]) -> str:
     """Return the policy that an arm's row or a claim is about; empty for what is not trained."""
     return str(row.get("policy", ""))
-
-
-def policies(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return the policies of trainings that rows are about, as learned first; "" alone where nothing was trained."""
-    return [policy for policy in (LEARNED, REFINED) if policy in set(map(of, rows))] or [""]
 
 
 def grouped(claims: Sequence[Mapping[str, Any]]) -> list[list[Mapping[str, Any]]]:

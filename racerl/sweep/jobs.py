@@ -8,7 +8,7 @@ seeds, in the world (vehicle, track, …) of the others.
 """
 
 import hashlib
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,12 @@ WORLD = {  # groups of a training's words that hold for a stage, too
 }
 STAGES = {"controller": "race", "drive": "record", "run": "evaluate"}  # by a word of such arms
 SLOWEST_LAP, LONGEST_RUN = 15.0, 600.0  # s, of a driver that is recorded
+
+
+def policies(found: Iterable[str]) -> list[str]:
+    """Return the policies of trainings among those found, as learned first; "" alone where nothing was trained."""
+    known = set(found)
+    return [policy for policy in (LEARNED, REFINED) if policy in known] or [""]
 
 
 @dataclass(frozen=True)
@@ -58,7 +64,7 @@ class Job:
     @property
     def policies(self) -> list[str]:
         """The policies that race, as learned first."""
-        return list(dict.fromkeys(policy for policy, _ in self.races))
+        return policies(policy for policy, _ in self.races)
 
     def race(self, policy: str, car: str) -> Path:
         """Return the folder of a policy's race in a car."""

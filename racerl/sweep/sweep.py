@@ -19,7 +19,7 @@ from racerl.errors import ConfigError, RunError
 from racerl.run import MANIFEST, Compose, RunFolder
 from racerl.sweep.definition import TWIN, Sweep, read_sweeps
 from racerl.sweep.engine import LOGS, Engine, Status, alone
-from racerl.sweep.jobs import LEARNED, REFINED, Plan, plan
+from racerl.sweep.jobs import Plan, plan, policies
 from racerl.sweep.measures import LAP, arrivals, final_reward, learning, measure, usual_steering
 from racerl.sweep.statistics import Samples, judge, resample
 
@@ -129,19 +129,22 @@ def summarise(planned: Plan, settings: Mapping[str, Any], out: Path, failed: Map
 def gather(planned: Plan, laps: int) -> dict[str, pd.DataFrame]:
     """Return the tables of what the finished jobs measured, by file."""
     turning = {sweep.name for sweep in planned.sweeps if "turn_in" in sweep.metrics}
-    measured = {job.name: (measure(job, laps), learning(job)) for job in planned.jobs if job.done}
+    measured = {
+        job.name: (measure(job, laps), learning(job), {policy: arrivals(job, policy) for policy in job.policies})
+        for job in planned.jobs
+        if job.done
+    }
     rows: list[dict[str, Any]] = []
     trainings: list[dict[str, Any]] = []
     curves, steering = [], []
     for (sweep, arm, seed), job in planned.of.items():
         if job.name not in measured:
             continue
-        driven, curve = measured[job.name]
+        driven, curve, arrived = measured[job.name]
         where = {"sweep": sweep, "arm": arm, "seed": seed}
         rows += [{**where, **row} for row in driven]
-        for policy in job.policies:
-            facts = {"policy": policy, "reward": final_reward(curve), **arrivals(job, policy), "job": job.path.name}
-            trainings.append({**where, **facts})
+        learned = {"reward": final_reward(curve), "job": job.path.name}
+        trainings += [{**where, "policy": policy, **learned, **seconds} for policy, seconds in arrived.items()]
         curves.append(_thinned(curve).assign(**where))
         if sweep in turning:
             steering += [
@@ -171,7 +174,7 @@ def results(
     rows, claims, elsewhere = [], [], []
     for sweep in sweeps:
         mine, trained = laps[laps["sweep"] == sweep.name], trainings[trainings["sweep"] == sweep.name]
-        for number, policy in enumerate(kinds(trained)):
+        for number, policy in enumerate(policies(trained["policy"])):
             driven, learned = of_policy(mine, trained, policy), of_policy(trained, trained, policy)
             own = set(trained[trained["policy"] == policy]["arm"])
             samples = _samples(driven, learned, cars)
@@ -202,15 +205,11 @@ def _rows(sweep: Sweep, samples: Mapping[str, Samples], trained: pd.DataFrame) -
                 yield {"sweep": sweep.name, "arm": arm, "car": car, **facts, **_metrics(part, arm)}
 
 
-def kinds(trainings: pd.DataFrame) -> list[str]:
-    """Return the policies of trainings that were raced, as learned first; "" alone where nothing was trained."""
-    return [policy for policy in (LEARNED, REFINED) if policy in set(trainings["policy"])] or [""]
-
-
 def of_policy(table: pd.DataFrame, trainings: pd.DataFrame, policy: str) -> pd.DataFrame:
     """Return the rows of all arms' policies of a kind; of arms whose trainings were raced with none of it, all rows."""
-    has = set(trainings[trainings["policy"] == policy]["arm"])
-    return table[(table["policy"] == policy) | ~table["arm"].isin(has)]
+    raced = trainings[trainings["policy"] == policy]
+    has = pd.MultiIndex.from_frame(raced[["sweep", "arm"]])
+    return table[(table["policy"] == policy) | ~pd.MultiIndex.from_frame(table[["sweep", "arm"]]).isin(has)]
 
 
 def _samples(laps: pd.DataFrame, trained: pd.DataFrame, cars: Sequence[str]) -> dict[str, Samples]:

@@ -116,6 +116,11 @@ class FrenetFrame:
         index = (nearest + self._downhill(squared)) % self.count
         return self._foot_in_cell(x, y, index)
 
+    def nearest(self, x: Tensor, y: Tensor) -> Tensor:
+        """Return s of the centreline's points nearest to x, y (N,), wherever on the track."""
+        apart = (x[:, None] - self.x) ** 2 + (y[:, None] - self.y) ** 2
+        return apart.argmin(dim=1) * self.spacing
+
     def locate(self, x: Tensor, y: Tensor, yaw: Tensor, s_last: Tensor) -> tuple[Tensor, Tensor]:
         """Return the places (5, N), rows as in PLACE, of cars at x, y, heading yaw (N,), and their way from s_last."""
         if self._kernel is not None:

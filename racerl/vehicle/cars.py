@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from racerl.documents import as_frame, read_bytes, write_parquet
 from racerl.errors import ConfigError, VehicleError, suggest
+from racerl.run import CARS
 from racerl.vehicle.parameter import check_value, specifications, values
 from racerl.vehicle.vehicle import Vehicle
 
 Array = NDArray[np.float64]
-CARS = "cars.parquet"
 MAX_BYTES, MAX_CARS, MAX_NAMES = 64 * 1024 * 1024, 100_000, 500
 FEWEST = 2
 ROUNDED = 1e-4  # share by which a number of model.yaml may be rounded
@@ -30,14 +30,6 @@ def write_cars(folder: Path, vehicle: Vehicle, names: Sequence[str], cars: Array
     known = specifications(vehicle)
     low, high = ([getattr(known[name], end) for name in names] for end in ("low", "high"))
     write_parquet(folder / CARS, pd.DataFrame(np.clip(cars, low, high), columns=list(names)))
-
-
-def normal_cars(mean: Array, covariance: Array, count: int, seed: int) -> Array:
-    """Return cars (K, P) drawn from a normal distribution."""
-    spread, directions = np.linalg.eigh(covariance)
-    drawn = np.random.default_rng(seed).normal(size=(count, len(mean))) * np.sqrt(np.maximum(spread, 0.0))
-    cars: Array = mean + drawn @ directions.T
-    return cars
 
 
 def read_cars(run: Path, vehicle: Vehicle) -> dict[str, Array]:

@@ -10,7 +10,7 @@ from racerl.estimation.unknowns import Unknowns
 from racerl.identify.methods import Fit
 from racerl.identify.objective import Linearised, Point
 from racerl.identify.score import ErrorSum, held_errors, horizons_within
-from racerl.identify.uncertainty import Uncertainty, describe, estimate
+from racerl.identify.uncertainty import Uncertainty, describe, estimate, normal
 from racerl.vehicle.parameter import Parameter
 
 TRUTH = np.array([2.0, -1.0, 0.5])
@@ -162,3 +162,10 @@ def test_a_diverged_rollout_is_not_hidden():
 
 def test_horizons():
     assert horizons_within(85) == [1, 5, 20, 50, 85] and horizons_within(30) == [1, 5, 20, 30]
+
+
+def test_draws_have_the_covariance():
+    generator, mean, covariance = np.random.default_rng(1), [1.0, -2.0], np.array([[0.04, -0.018], [-0.018, 0.01]])
+    cars = mean + np.concatenate([normal(covariance, generator) for _ in range(100)])
+    assert len(cars) == 100_000 and np.allclose(cars.mean(axis=0), mean, atol=0.002)
+    assert np.allclose(np.cov(cars.T), covariance, rtol=0.02)

@@ -9,7 +9,8 @@ import pytest
 from racerl.config import compose_settings
 from racerl.documents import write_parquet
 from racerl.errors import RacerlError
-from racerl.vehicle.cars import CARS, normal_cars, read_cars, write_cars
+from racerl.run import CARS
+from racerl.vehicle.cars import read_cars, write_cars
 from racerl.vehicle.load import load_vehicle
 
 NAMES = ("yaw_inertia", "front.p_Ey1")
@@ -23,13 +24,6 @@ def twice():
 @pytest.fixture
 def vehicle():
     return load_vehicle(compose_settings("train", ["vehicle=published"])["vehicle"])
-
-
-def test_normal_cars_have_the_mean_and_the_covariance():
-    mean, covariance = np.array([1.0, -2.0]), np.array([[0.04, -0.018], [-0.018, 0.01]])
-    cars = normal_cars(mean, covariance, 100_000, seed=1)
-    assert np.allclose(cars.mean(axis=0), mean, atol=0.002)
-    assert np.allclose(np.cov(cars.T), covariance, rtol=0.02)
 
 
 def test_what_is_read_is_what_was_written_inside_the_bounds(vehicle, tmp_path):

@@ -28,8 +28,16 @@ class Seen(NamedTuple):
     maximum: float
 
 
+V_X, V_Y = Seen("v_x", "m/s", SPEED_MAX), Seen("v_y", "m/s", SPEED_MAX)
+YAW_RATE = Seen("yaw_rate", "rad/s", YAW_RATE_MAX)
+HEADING = Seen("u", "rad", HEADING_MAX)  # relative to the track
+
+
 class Observation(Protocol):
-    """Turns the race into one row of numbers per car, each divided by its maximum."""
+    """Turns the race into one row of numbers per car, in units of their own; `scaled` divides them by their maxima."""
+
+    def __hash__(self) -> int:
+        """Observations don't change."""
 
     @property
     def size(self) -> int:
@@ -83,3 +91,9 @@ def actuators_seen(action: Action) -> tuple[Seen, ...]:
 def maxima(observation: Observation, action: Action) -> tuple[float, ...]:
     """Return what an observation's numbers are divided by."""
     return tuple(each.maximum for each in observation.sees(action))
+
+
+def scaled(observation: Observation, view: "View") -> Tensor:
+    """Return what a policy reads (N, size): numbers as shares of their maxima, inside ± OBSERVATION_LIMIT."""
+    shares = observation(view) / view.constant(maxima(observation, view.action))
+    return shares.clamp_(-OBSERVATION_LIMIT, OBSERVATION_LIMIT)

@@ -12,16 +12,7 @@ import torch
 from torch import Tensor
 
 from racerl.env.actions import Action
-from racerl.env.observations import (
-    HEADING_MAX,
-    SPEED_MAX,
-    YAW_RATE_MAX,
-    Seen,
-    actuator_terms,
-    actuators_seen,
-    check_maxima,
-    maxima,
-)
+from racerl.env.observations import HEADING, V_X, V_Y, YAW_RATE, Seen, actuator_terms, actuators_seen, check_maxima
 from racerl.track.track import Track
 
 if TYPE_CHECKING:
@@ -58,11 +49,11 @@ class Geometric:
     def sees(self, action: Action) -> tuple[Seen, ...]:
         """Return names, units and maxima in order."""
         return (
-            Seen("v_x", "m/s", SPEED_MAX),
-            Seen("v_y", "m/s", SPEED_MAX),
-            Seen("u", "rad", HEADING_MAX),
+            V_X,
+            V_Y,
+            HEADING,
             Seen("n", "m", self.width_max),
-            Seen("yaw_rate", "rad/s", YAW_RATE_MAX),
+            YAW_RATE,
             *actuators_seen(action),
             *(Seen(f"curvature_{i + 1}", "1/m", self.curvature_max) for i in range(self.points)),
             *(Seen(f"half_width_{i + 1}", "m", self.width_max) for i in range(self.points)),
@@ -74,7 +65,7 @@ class Geometric:
         car = [view.v_x, view.v_y, view.heading, view.offset, view.yaw_rate, *actuator_terms(view)]
         ahead = view.s[:, None] + view.constant(self._places)
         preview = frame.lookup(ahead, frame.curvature, frame.half_width)
-        return torch.cat([torch.stack(car, dim=1), *preview], dim=1) / view.constant(maxima(self, view.action))
+        return torch.cat([torch.stack(car, dim=1), *preview], dim=1)
 
     @cached_property
     def _places(self) -> tuple[float, ...]:

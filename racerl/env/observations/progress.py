@@ -10,16 +10,7 @@ import torch
 from torch import Tensor
 
 from racerl.env.actions import Action
-from racerl.env.observations import (
-    HEADING_MAX,
-    SPEED_MAX,
-    YAW_RATE_MAX,
-    Seen,
-    actuator_terms,
-    actuators_seen,
-    check_maxima,
-    maxima,
-)
+from racerl.env.observations import HEADING, V_X, V_Y, YAW_RATE, Seen, actuator_terms, actuators_seen, check_maxima
 from racerl.track.track import Track
 
 if TYPE_CHECKING:
@@ -49,10 +40,10 @@ class Progress:
         """Return names, units and maxima in order."""
         return (
             Seen("n", "m", self.width_max),
-            Seen("u", "rad", HEADING_MAX),
-            Seen("v_x", "m/s", SPEED_MAX),
-            Seen("v_y", "m/s", SPEED_MAX),
-            Seen("yaw_rate", "rad/s", YAW_RATE_MAX),
+            HEADING,
+            V_X,
+            V_Y,
+            YAW_RATE,
             *actuators_seen(action),
             Seen("s", "m", self.length),
         )
@@ -60,4 +51,4 @@ class Progress:
     def __call__(self, view: "View") -> Tensor:
         """Return (N, 11)."""
         terms = [view.offset, view.heading, view.v_x, view.v_y, view.yaw_rate, *actuator_terms(view), view.s]
-        return torch.stack(terms, dim=1) / view.constant(maxima(self, view.action))
+        return torch.stack(terms, dim=1)
