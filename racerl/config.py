@@ -27,7 +27,7 @@ from omegaconf.errors import OmegaConfBaseException
 from racerl.choices import choices, default_groups, optional_groups, own_keys
 from racerl.documents import conf_folder, read_yaml, require_finite
 from racerl.errors import ConfigError, DocumentError, suggest
-from racerl.run import CARS, WORDS
+from racerl.run import WORDS
 
 if TYPE_CHECKING:
     from racerl.env.adapters.gymnasium import RaceEnv, RaceVectorEnv
@@ -265,6 +265,8 @@ def _require_file(group: str, value: str) -> None:
 
 def _require_cars(run: str) -> None:
     """Raise ConfigError where a run holds no cars to draw from."""
+    from racerl.vehicle.cars import CARS
+
     if not run or not _there(f"{run}/{CARS}", Path.is_file):
         raise ConfigError(
             f"dr={POSTERIOR}{run}: {CARS} is not there; give a run of racerl identify, or of racerl gap that changed "

@@ -26,7 +26,6 @@ from racerl.errors import DocumentError, RunError
 
 FORMAT = 1
 MANIFEST, CONFIG = "manifest.json", "config.yaml"
-CARS = "cars.parquet"  # what a fit leaves possible, for dr=posterior:RUN
 MAX_DEPTH = 3  # folders below outputs/<stage>
 WORDS: ContextVar[Sequence[str] | None] = ContextVar("words", default=None)  # of the user, on the command line
 LOCK = ".lock"

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from racerl.documents import as_frame, read_bytes, write_parquet
 from racerl.errors import ConfigError, VehicleError, suggest
-from racerl.run import CARS
 from racerl.vehicle.parameter import check_value, specifications, values
 from racerl.vehicle.vehicle import Vehicle
 
 Array = NDArray[np.float64]
+CARS = "cars.parquet"
 MAX_BYTES, MAX_CARS, MAX_NAMES = 64 * 1024 * 1024, 100_000, 500
 FEWEST = 2
 ROUNDED = 1e-4  # share by which a number of model.yaml may be rounded

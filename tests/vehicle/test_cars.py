@@ -9,8 +9,7 @@ import pytest
 from racerl.config import compose_settings
 from racerl.documents import write_parquet
 from racerl.errors import RacerlError
-from racerl.run import CARS
-from racerl.vehicle.cars import read_cars, write_cars
+from racerl.vehicle.cars import CARS, read_cars, write_cars
 from racerl.vehicle.load import load_vehicle
 
 NAMES = ("yaw_inertia", "front.p_Ey1")
