@@ -65,12 +65,13 @@ class Guard:
 
 
 class Pilot:
-    """Drives one car. `delay` is by how many seconds orders act late, on top of what the vehicle says itself.
+    """Drives one car, its drive references at most `most`.
 
-    Raises RunError, PolicyError or ConfigError for a run that cannot drive.
+    `delay` is by how many seconds orders act late, on top of what the vehicle says itself. Raises RunError, PolicyError
+    or ConfigError for a run that cannot drive.
     """
 
-    def __init__(self, run: Path, delay: float = 0.0, guard: Guard | None = None) -> None:
+    def __init__(self, run: Path, delay: float = 0.0, guard: Guard | None = None, most: float = math.inf) -> None:
         trained = load_trained(run)
         self.policy, self.observation, self.action = trained.policy, trained.observation, trained.action
         self.period = trained.dt
@@ -79,7 +80,7 @@ class Pilot:
         # a real car has actuators, whatever the policy was trained with
         self.vehicle = load_vehicle(settings["vehicle"], drive=settings["sim"]["drive"])
         self.delay = bounds.number("delay", delay, 0.0, 1.0, "s")
-        self.guard = guard or Guard()
+        self.guard, self.most = guard or Guard(), most
         self._motion = choose_motion(self.vehicle, (), STEP, 1, CPU, torch.float32)
         # time, δ_ref, drive reference
         self._given: deque[tuple[float, float, float]] = deque([(-math.inf, 0.0, 0.0)], maxlen=1000)
@@ -118,6 +119,7 @@ class Pilot:
         delta_ref, drive_ref = command[:, 0].tolist()
         if not (math.isfinite(delta_ref) and math.isfinite(drive_ref)):
             return self._stop(now, "the policy gave no finite references")
+        drive_ref = min(drive_ref, self.most)  # what is told is what is known of: the car is driven forward with it
         self._rate = (drive_ref - drive) / self.period
         self._given.append((now, delta_ref, drive_ref))
         return Order(delta_ref, drive_ref, "")

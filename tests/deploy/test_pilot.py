@@ -88,6 +88,14 @@ def turning(pilot):
     return network.requires_grad_(False)
 
 
+def test_a_limit_of_speed_is_what_the_car_is_driven_forward_with(race, smoke_run):
+    pilot = Pilot(smoke_run, guard=AT_ONCE, most=1.0)
+    pilot.policy = Policy(constant(pilot, 0.0), pilot.policy.observation, pilot.policy.action)
+    orders = [pilot.drive(sensed(race, number * DT), number * DT) for number in range(20)]
+    assert [order.drive_ref for order in orders[-5:]] == [1.0] * 5
+    assert float(pilot.predict(sensed(race, 0.7), 0.95)[7]) == pytest.approx(1.0, abs=0.05)
+
+
 def test_a_steering_angle_that_nobody_measures_is_the_models(race, smoke_run):
     pilot = Pilot(smoke_run, guard=AT_ONCE)
     pilot.policy = Policy(constant(pilot, 0.6), pilot.policy.observation, pilot.policy.action)

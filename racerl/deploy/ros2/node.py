@@ -53,7 +53,10 @@ def make_node(pilot_of: Any = Pilot, clock: Any = time.monotonic) -> Any:
             super().__init__("racerl_pilot")
             given = {name: self.declare_parameter(name, value).value for name, value in PARAMETERS.items()}
             guard = Guard(**{key.removeprefix("guard."): given[key] for key in given if key.startswith("guard.")})
-            self.given, self.pilot = given, pilot_of(Path(str(given["run"])), float(given["delay"]), guard)
+            self.given, self.pilot = (
+                given,
+                pilot_of(Path(str(given["run"])), float(given["delay"]), guard, float(given["most_speed"])),
+            )
             self.velocities, self.arrived = Velocities(), math.nan
             self.moved = (math.nan,) * 6  # x, y, yaw, v_x, v_y, yaw rate
             self.omega = self.wheel_arrived = math.nan
@@ -106,7 +109,7 @@ def make_node(pilot_of: Any = Pilot, clock: Any = time.monotonic) -> Any:
             message = AckermannDriveStamped()
             message.header.stamp = self.get_clock().now().to_msg()
             message.drive.steering_angle = order.delta_ref
-            message.drive.speed = min(order.drive_ref, float(self.given["most_speed"]))
+            message.drive.speed = order.drive_ref
             return message
 
         def _placed(self, pose: Any) -> tuple[float, float, float]:
