@@ -8,7 +8,7 @@ catalogue: then `unknown` is right, or what the catalogue says the truth is conf
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
@@ -17,8 +17,9 @@ from typing import Any
 from racerl.bench import Compose, Progress
 from racerl.documents import read_json, write_json
 from racerl.errors import ConfigError
-from racerl.gap.calibration import Case, calibrate, checked
+from racerl.gap.calibration import Case, calibrate, checked, compared, truth_of
 from racerl.gap.diagnose import NAME, VERDICT, gap
+from racerl.gap.hypotheses import Hypothesis
 from racerl.run import MANIFEST, is_complete
 from racerl.vehicle.catalogue import confused_with, names
 
@@ -57,7 +58,7 @@ class Gap:
                 words.append(f"without={[effect['name'] for effect in key['effects']]}")
             rows.append(outcome(log.stem, key, *_diagnosis(compose("gap", words), out)))
             if self.calibration and (out / NAME).is_file():
-                cases.append(_case(key, read_json(out / NAME)["rounds"]))
+                cases.append(_case(rows[-1]["truth"], read_json(out / NAME)["rounds"]))
                 groups.append(f"{key.get('tyre')}, {key.get('slip')}")
         if self.calibration:
             write_json(Path(self.calibration), calibration(cases, groups))
@@ -65,6 +66,7 @@ class Gap:
             "gap": {
                 "cases": rows,
                 "scores": scores(rows),
+                "probabilities": probabilities(rows),
                 "detection": detection(rows),
                 "by_verdict": by_verdict(rows),
                 "confusion": confusion(rows),
@@ -72,9 +74,18 @@ class Gap:
         }
 
 
-def _case(key: dict[str, Any], rounds: list[dict[str, Any]]) -> Case:
-    hidden = frozenset(effect["name"] for effect in key["effects"])
-    return Case(hidden & set(names()), not hidden <= set(names()), rounds)
+def _case(hidden: Iterable[str], rounds: Sequence[dict[str, Any]]) -> Case:
+    known = frozenset(hidden) & set(names())
+    return Case(known, not known >= set(hidden), rounds)
+
+
+def probabilities(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return how far the probabilities told are to be trusted, where any are and nothing was withheld."""
+    told = [row for row in rows if row["hypotheses"] and row["set"] != WITHHELD]
+    if not told:
+        return {}
+    sets = [[Hypothesis(tuple(each["names"]), each["probability"]) for each in row["hypotheses"]] for row in told]
+    return compared(sets, [truth_of(_case(row["truth"], ())) for row in told])._asdict()
 
 
 def calibration(cases: Sequence[Case], groups: Sequence[str]) -> dict[str, Any]:
@@ -113,6 +124,7 @@ def outcome(case: str, key: dict[str, Any], verdict: dict[str, Any], seconds: fl
         "verdict": verdict["verdict"],
         "found": found,
         "rivals": verdict["ambiguous_with"],
+        "hypotheses": verdict["hypotheses"],
         "separable": set(truth) <= set(verdict.get("separable", ())),  # declared before anything is named
         "explained": verdict["gap"]["explained"] if verdict["gap"] else None,
         "errors": {name: abs(p["value"] / value - 1.0) for name, p, value in _shared(key, verdict) if value},

@@ -12,6 +12,7 @@ from racerl.gap.hypotheses import (
     LEFT,
     STOP,
     UNLISTED,
+    Hypothesis,
     Round,
     Rule,
     candidate_features,
@@ -35,7 +36,7 @@ class Case(NamedTuple):
 
 
 class Check(NamedTuple):
-    """How a rule fares on cases that it was not fitted to.
+    """How probabilities fare on cases that their rule was not fitted to.
 
     `covered`: share of cases whose truth is in the set of hypotheses that reach LEVEL; `size`: how many it has in the
     mean; `first`: share whose truth is the most probable; `error`: mean difference between the first's probability and
@@ -85,21 +86,25 @@ def calibrate(cases: Sequence[Case]) -> Rule:
 
 def checked(cases: Sequence[Case], groups: Sequence[str]) -> Check:
     """Fit to all groups of cases but one, and check the rule on that one, for each group."""
-    covered, size, first, p = [], [], [], []
+    told, truths = [], []
     for group in sorted(set(groups)):
         rule = calibrate([case for case, own in zip(cases, groups, strict=True) if own != group])
         for case in (case for case, own in zip(cases, groups, strict=True) if own == group):
-            told = hypotheses(case.rounds, rule)
-            among = reaching(told, LEVEL)
-            truth = truth_of(case)
-            covered.append(truth in [each.names for each in among])
-            size.append(len(among))
-            first.append(told[0].names == truth)
-            p.append(told[0].probability)
-    bins = np.minimum((np.array(p) * BINS).astype(int), BINS - 1)
-    away = [abs(float(np.sum(np.array(first)[bins == b] - np.array(p)[bins == b]))) for b in range(BINS)]
-    mean_covered, mean_size, mean_first = (float(np.mean(each)) for each in (covered, size, first))
-    return Check(len(p), mean_covered, mean_size, mean_first, sum(away) / len(p))
+            told.append(hypotheses(case.rounds, rule))
+            truths.append(truth_of(case))
+    return compared(told, truths)
+
+
+def compared(told: Sequence[Sequence[Hypothesis]], truths: Sequence[tuple[str, ...]]) -> Check:
+    """Compare hypotheses, most probable first, with what was hidden."""
+    sets = [reaching(each, LEVEL) for each in told]
+    covered = [truth in [each.names for each in among] for among, truth in zip(sets, truths, strict=True)]
+    first = np.array([each[0].names == truth for each, truth in zip(told, truths, strict=True)], float)
+    p = np.array([each[0].probability for each in told])
+    bins = np.minimum((p * BINS).astype(int), BINS - 1)
+    away = np.abs(np.bincount(bins, first - p, BINS)).sum() / len(p)
+    size = np.mean([len(among) for among in sets])
+    return Check(len(p), float(np.mean(covered)), float(size), float(first.mean()), float(away))
 
 
 def truth_of(case: Case) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ from racerl.bench.gap import (
     detection,
     honest,
     outcome,
+    probabilities,
     right,
     scores,
     share,
@@ -18,7 +19,17 @@ from racerl.bench.gap import (
 from racerl.gap.hypotheses import Rule, hypotheses
 
 
-def case(truth, verdict, found=(), rivals=(), kind="single", size="medium", programme="excitation", tells=("a",)):
+def case(
+    truth,
+    verdict,
+    found=(),
+    rivals=(),
+    kind="single",
+    size="medium",
+    programme="excitation",
+    tells=("a",),
+    hypotheses=(),
+):
     key = {
         "effects": [
             {"name": name, "size": size, "parameters": {"delay": 0.04}, "units": {"delay": "s"}} for name in truth
@@ -32,6 +43,7 @@ def case(truth, verdict, found=(), rivals=(), kind="single", size="medium", prog
         "verdict": verdict,
         "effects": [{"name": n, "parameters": {"delay": delay}} for n in found],
         "ambiguous_with": list(rivals),
+        "hypotheses": [{"names": list(names), "probability": p} for names, p in hypotheses],
         "separable": list(tells),
         "gap": {"explained": 0.9},
     }
@@ -105,14 +117,32 @@ def test_wilson_intervals():
     assert half["ci95"][0] == pytest.approx(0.2366, abs=1e-4) and sum(half["ci95"]) == pytest.approx(1.0)
 
 
+def test_probabilities_are_scored_by_how_often_they_are_right():
+    damping, lag = "yaw_damping", "drive_delay"
+    sure, wide = [((damping,), 0.97), ((), 0.03)], [((damping,), 0.5), ((lag,), 0.3), (("?",), 0.2)]
+    rows = [
+        case([damping], "named", [damping], hypotheses=sure),
+        case([lag], "ambiguous", [damping], [lag], hypotheses=wide),
+        case(["fluttering_tyre"], "unknown", kind="unlisted", hypotheses=wide),
+        case([], "named", [damping], kind="clean", hypotheses=[((damping,), 1.0)]),
+        case([damping], "unknown", kind="withheld", hypotheses=sure),
+        case([], "under_excited", kind="poor"),
+    ]
+    found = probabilities(rows)
+    assert found["cases"] == 4 and found["covered"] == 0.75 and found["first"] == 0.25
+    assert found["size"] == pytest.approx((1 + 3 + 3 + 1) / 4)
+    assert found["error"] == pytest.approx((abs(2 * 0.5) + abs(1.97 - 1.0)) / 4)  # two bins of five
+    assert probabilities([case([], "none", kind="clean")]) == {}
+
+
 def test_a_rule_is_fitted_to_what_the_rounds_of_cases_saw():
     row = {"name": "yaw_damping", "needed": True, "gain": 9.0, "error": 1.0, "explained": 0.9, "fall": 0.5}
     row |= {"behind": 0.0, "leads": 1.0, "like": 0.0}
     left = {"held_out": {"chassis": 0.01}, "fit": {"chassis": 0.01}, "candidates": []}
     seen = [{"held_out": {"chassis": 0.6}, "fit": {"chassis": 0.6}, "candidates": [row]}, left]
-    hides = [_case({"effects": [{"name": "yaw_damping"}]}, seen), _case({"effects": []}, [left])]
+    hides = [_case(["yaw_damping"], seen), _case([], [left])]
     assert [case.hidden for case in hides] == [{"yaw_damping"}, set()] and not hides[0].unlisted
-    assert _case({"effects": [{"name": "fluttering_tyre"}]}, [left]).unlisted
+    assert _case(["fluttering_tyre"], [left]).unlisted
     table = calibration(hides * 6, ["brush, centre", "dugoff, larger"] * 6)
     assert table["cases"] == {"brush, centre": 6, "dugoff, larger": 6}
     assert hypotheses(seen, Rule.of(table["weights"]))[0].names == ("yaw_damping",)
