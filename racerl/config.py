@@ -123,10 +123,10 @@ def _shortest(path: Path) -> Path:
     return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
 
 
-def compose_settings(command: str, overrides: Sequence[str] = ()) -> Settings:
-    """Return the composed settings of a command, for use from Python."""
+def compose_settings(command: str, overrides: Sequence[str] = (), positional: str | None = None) -> Settings:
+    """Return the composed settings of a command, for use from Python; bare words fill the key `positional`."""
     _register()
-    words = _rewrite(command, list(overrides), None)
+    words = _rewrite(command, list(overrides), positional)
     try:
         settings = _plain(command, _compose(command, words))
     except (HydraException, OmegaConfBaseException) as error:
@@ -390,6 +390,9 @@ def _unknown_key(command: str, key: str, known: Collection[str]) -> ConfigError:
     group = key.partition(".")[0]
     if "." in key and optional_groups(command) & {group}:
         return ConfigError(f"unknown key '{key}' while {group} is the run's; give {group}=NAME or FILE with it")
+    if key in known:
+        usual = f"the usual {group} has it, the one chosen has not"
+        return ConfigError(f"unknown key '{key}'; {usual}. All keys: {spoken(command)} --cfg job")
     last, names = key.rpartition(".")[2], sorted(set(known))
     ends = difflib.get_close_matches(last, {name.rpartition(".")[2] for name in names}, n=3, cutoff=0.75)
     near = difflib.get_close_matches(key, names, n=3, cutoff=0.7)

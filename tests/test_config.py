@@ -185,6 +185,7 @@ def test_a_handed_configuration_cannot_run_code(tmp_path, monkeypatch, text, sai
         (["drr=none"], "did you mean dr"),
         (["budget.stpes=3"], "budget.steps"),
         (["tarck=l_shape"], "track"),
+        (["budget=smoke", "budget.refinement.pairs=2"], "the usual budget has it, the one chosen has not"),
         (["+colour=red"], "unknown key 'colour'"),
         (["~seed"], "seed"),
         (["vehicle.front.p_Dx=1"], "p_Dx1"),

@@ -84,3 +84,12 @@ def test_a_centreline_comes_out_of_a_map(tmp_path, monkeypatch):
     track = read_track(tmp_path / "room.yaml")
     assert np.allclose(np.hypot(track.x - 1.0, track.y - 2.0), 2.5, atol=0.05)
     assert np.allclose(track.width_right, 0.5, atol=0.06) and np.allclose(track.width_left, 0.5, atol=0.06)
+
+
+@pytest.mark.slow
+def test_the_commands_are_functions(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    page = (ROOT / "racerl" / "README.md").read_text(encoding="utf-8")
+    (recipe,) = (block for kind, block in BLOCKS.findall(page) if kind == "python" and "racerl.library" in block)
+    exec(compile(recipe, "library.py", "exec"), {})  # noqa: S102
+    assert "named Estimate(value=0.149" in capsys.readouterr().out

@@ -1,0 +1,312 @@
+"""racerl from Python: what the commands do, as functions; typed results in place of lines on a terminal.
+
+    from racerl.library import evaluate, gap, record, train
+
+    log = record(vehicle="published", seconds=120).log
+    found = gap(log, vehicle="published")
+    policy = train("+dr=friction_0.02", vehicle=found.model)
+    print(evaluate(policy.folder, car="twin").mean_lap)
+
+`words` are those of the command line, `settings` its keys and groups by name (`vehicle="published"`, `seed=1`); both
+are checked as there, and what is wrong is raised as a `racerl.errors.RacerlError`, one line. Results lie in the folder
+`out` (the command's own dated one by default). The same call with the same `out` goes on with a run that was
+interrupted, and `of(folder)` of a result reads a finished one.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple, Self
+
+import pandas as pd
+
+from racerl.config import Settings, compose_settings
+from racerl.control.policy import Policy, load_policy
+from racerl.documents import read_json
+from racerl.gap.hypotheses import Hypothesis
+from racerl.run import RunFolder
+
+Setting = str | int | float | bool | Path | Sequence[str | int | float | Path]
+Places = str | Path | Sequence[str | Path]
+OnProgress = Callable[[float, str], None]  # the share of the work behind it, and what is being done
+
+
+class Estimate(NamedTuple):
+    """A parameter that was identified, in `unit`, with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+    unit: str
+
+
+class Change(NamedTuple):
+    """A configured number that is wrong: as configured, and as the log has it, with its 95 % interval."""
+
+    configured: float
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Result:
+    """A finished run: its folder, and all that its command found, as in the folder's JSON."""
+
+    folder: Path
+    facts: Mapping[str, Any]
+
+    @classmethod
+    def of(cls, folder: str | Path) -> Self:
+        """Read a finished run; raise RunError where it is none, or another command's."""
+        stage, file = FINISHED[cls]
+        run = RunFolder.open_complete(Path(folder), stage)
+        return cls(run.path, read_json(run.path / file) if file else run.manifest)
+
+
+class Recording(Result):
+    """A simulated drive."""
+
+    @property
+    def log(self) -> Path:
+        """The log's file."""
+        return self.folder / str(RunFolder.open_complete(self.folder, "record").settings()["file"])
+
+
+class Identification(Result):
+    """A vehicle found from logs; `usable` says whether it foretells runs that it was not fitted to."""
+
+    @property
+    def model(self) -> Path:
+        """The vehicle, as `vehicle=` takes it."""
+        return self.folder / "model.yaml"
+
+    @property
+    def usable(self) -> bool:
+        """Whether a policy may be trained in it."""
+        return bool(self.facts["verdict"]["usable"])
+
+    @property
+    def parameters(self) -> dict[str, Estimate]:
+        """The parameters that were fitted, by name."""
+        return {name: _estimate(row) for name, row in self.facts["parameters"].items()}
+
+
+class Diagnosis(Result):
+    """What a car does and its model does not."""
+
+    @property
+    def model(self) -> Path:
+        """The vehicle with what was found, as `vehicle=` takes it."""
+        return self.folder / "model.yaml"
+
+    @property
+    def verdict(self) -> str:
+        """One of none, named, multiple, ambiguous, under_excited, unknown."""
+        return str(self.facts["verdict"])
+
+    @property
+    def reason(self) -> str:
+        """Why, in one sentence."""
+        return str(self.facts["reason"])
+
+    @property
+    def effects(self) -> dict[str, dict[str, Estimate]]:
+        """The effects named, with their parameters."""
+        return {
+            effect["name"]: {name: _estimate(row) for name, row in effect["parameters"].items()}
+            for effect in self.facts["effects"]
+        }
+
+    @property
+    def rivals(self) -> tuple[str, ...]:
+        """Effects that the log cannot tell from those named."""
+        return tuple(self.facts["ambiguous_with"])
+
+    @property
+    def hypotheses(self) -> list[Hypothesis]:
+        """What may be hidden, most probable first; "?" is something of no catalogue."""
+        return [Hypothesis(tuple(row["names"]), row["probability"]) for row in self.facts["hypotheses"]]
+
+    @property
+    def numbers(self) -> dict[str, Change]:
+        """The configured numbers that are wrong."""
+        rows = self.facts["configured"]["changes"]
+        return {row["parameter"]: Change(row["from"], row["to"], *row["ci95"]) for row in rows}
+
+
+class Training(Result):
+    """A trained policy."""
+
+    @cached_property
+    def policy(self) -> Policy:
+        """The policy, on torch: scaled observations (N, O) in, actions (N, 2) in ±1 out."""
+        return load_policy(self.folder)
+
+
+class Laps(Result):
+    """Laps driven by a policy, a controller, or in a recorded drive. Times in s; None where no lap counts."""
+
+    @property
+    def mean_lap(self) -> float | None:
+        """The mean of all laps driven to their end."""
+        return self._number("mean_lap_s")
+
+    @property
+    def settled_lap(self) -> float | None:
+        """The mean of laps that follow another one: the first after a start is slow."""
+        return self._number("settled_lap_s")
+
+    @property
+    def optimum(self) -> float | None:
+        """The time-optimal lap of that car."""
+        return self._number("optimum_s")
+
+    @property
+    def laps(self) -> pd.DataFrame:
+        """One row per lap."""
+        return pd.DataFrame(self.facts["rows"])
+
+    @property
+    def trajectories(self) -> pd.DataFrame:
+        """The drive, as a log with the place on the track."""
+        return pd.read_parquet(self.folder / "trajectories.parquet")
+
+    def _number(self, name: str) -> float | None:
+        value = self.facts[name]
+        return None if value is None else float(value)
+
+
+class Optimum(Result):
+    """The time-optimal lap."""
+
+    @property
+    def lap(self) -> float:
+        """Its time in s, with commands that may change at any time."""
+        return float(self.facts["time_s"])
+
+
+FINISHED: dict[type[Result], tuple[str, str]] = {  # stage, and the file of its facts; "": the manifest
+    Recording: ("record", ""),
+    Identification: ("identify", "identification.json"),
+    Diagnosis: ("gap", "verdict.json"),
+    Training: ("train", ""),
+    Laps: ("evaluate", "metrics.json"),
+    Optimum: ("optimum", "optimum.json"),
+}
+
+
+def silent(share: float, what: str) -> None:
+    """Say nothing."""
+
+
+def record(
+    *words: str, out: str | Path | None = None, on_progress: OnProgress = silent, **settings: Setting
+) -> Recording:
+    """Drive a simulated car and write its log: `racerl record`."""
+    from racerl.record.record import record as stage
+
+    composed = _composed("record", words, settings, out)
+    stage(composed, Path(composed["out"]), lambda share: on_progress(share, "driving"))
+    return Recording.of(composed["out"])
+
+
+def identify(
+    logs: Places, *words: str, out: str | Path | None = None, on_progress: OnProgress = silent, **settings: Setting
+) -> Identification:
+    """Find a car's parameters from its logs: `racerl identify`."""
+    from racerl.identify.identify import identify as stage
+
+    composed = _composed("identify", words, settings, out, "logs", logs)
+    stage(composed, Path(composed["out"]), on_progress)
+    return Identification.of(composed["out"])
+
+
+def gap(
+    logs: Places, *words: str, out: str | Path | None = None, on_progress: OnProgress = silent, **settings: Setting
+) -> Diagnosis:
+    """Find what a car does and its model does not: `racerl gap`."""
+    from racerl.gap.diagnose import gap as stage
+
+    composed = _composed("gap", words, settings, out, "logs", logs)
+    stage(composed, Path(composed["out"]), lambda what, share: on_progress(share, what))
+    return Diagnosis.of(composed["out"])
+
+
+def train(
+    *words: str, out: str | Path | None = None, on_progress: OnProgress = silent, **settings: Setting
+) -> Training:
+    """Train a policy: `racerl train`; "from=RUN" among the words refines that run's in a changed world."""
+    from racerl.train.onward import train_onward
+    from racerl.train.session import Progress
+    from racerl.train.train import train as anew
+
+    onward = any(word.lstrip("+").startswith("from=") for word in words)
+    composed = _composed("refine" if onward else "train", words, settings, out)
+
+    def show(progress: Progress) -> None:
+        on_progress(min(1.0, progress.steps / progress.total_steps), progress.stage)
+
+    (train_onward if onward else anew)(composed, Path(composed["out"]), show)
+    return Training.of(composed["out"])
+
+
+def evaluate(
+    run: str | Path, *words: str, out: str | Path | None = None, on_progress: OnProgress = silent, **settings: Setting
+) -> Laps:
+    """Race a trained policy, or score a recorded drive: `racerl evaluate RUN`."""
+    from racerl.evaluate.evaluate import evaluate as stage
+
+    composed = _composed("evaluate", words, settings, out, "run", run)
+    stage(composed, Path(composed["out"]), on_progress)
+    return Laps.of(composed["out"])
+
+
+def race(*words: str, out: str | Path | None = None, on_progress: OnProgress = silent, **settings: Setting) -> Laps:
+    """Race a rival of the policies: `racerl evaluate controller=mpc`."""
+    from racerl.evaluate.rivals import race as stage
+
+    composed = _composed("race", words, settings, out)
+    stage(composed, Path(composed["out"]), on_progress)
+    return Laps.of(composed["out"])
+
+
+def optimum(
+    *words: str, out: str | Path | None = None, on_progress: OnProgress = silent, **settings: Setting
+) -> Optimum:
+    """Find the time-optimal lap: `racerl optimum`."""
+    from racerl.optimum.optimum import optimum as stage
+
+    composed = _composed("optimum", words, settings, out)
+    stage(composed, Path(composed["out"]), on_progress)
+    return Optimum.of(composed["out"])
+
+
+def _composed(
+    command: str,
+    words: Sequence[str],
+    settings: Mapping[str, Setting],
+    out: str | Path | None,
+    positional: str | None = None,
+    places: Places = (),
+) -> Settings:
+    """Return a command's settings, from what was given by its place, in words and by name."""
+    bare = [places] if isinstance(places, str | Path) else places
+    given = [f"{name}={_written(value)}" for name, value in settings.items()]
+    given += [] if out is None else [f"out={out}"]
+    return compose_settings(command, [*map(str, bare), *words, *given], positional)
+
+
+def _written(value: Setting) -> str:
+    """Return a value as the command line has it."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str | int | float | Path):
+        return str(value)
+    return f"[{','.join(map(str, value))}]"
+
+
+def _estimate(row: Mapping[str, Any]) -> Estimate:
+    low, high = row["ci95"]
+    return Estimate(row["value"], low, high, row["unit"])
