@@ -102,7 +102,7 @@ def test_a_rival_is_raced(tmp_path):
 @pytest.mark.slow
 def test_no_lap_is_faster_than_the_bound(tmp_path):
     bound = optimum(vehicle="published", threads=1, out=tmp_path / "optimum")
-    laps = race(controller="pure_pursuit", vehicle="published", laps=2, seeds=[0], out=tmp_path / "rival")
+    laps = race(controller="pure_pursuit", laps=3, seeds=[0], out=tmp_path / "rival")
     assert Optimum.of(bound.folder).lap == bound.lap < laps.settled_lap
 
 
