@@ -32,6 +32,7 @@ class Decision(Standing):
     rounds: list[list[CandidateScore]] = field(default_factory=list)
     features: list[dict[str, Any]] = field(default_factory=list)  # of every round
     excess: list[float] = field(default_factory=list)  # of the cost over the noise, before each round and at the end
+    doubted: str = ""  # what held-out windows ask for beside the effects, though it is rather of no catalogue
 
     @property
     def chosen(self) -> list[str]:

@@ -47,7 +47,10 @@ def name_effects(investigation: Investigation, on_progress: OnProgress = silent)
             return name_effects(tyre, within(on_progress, part[1], 1.0))
         decision.rounds.append(rows)
         decision.features.append(seen := features(judge, decision, rows))
-        if not rows or not rows[0].needed or in_doubt(seen, calibrated()):
+        if not rows or not rows[0].needed:
+            break
+        if in_doubt(seen, calibrated()):
+            decision.doubted = rows[0].name
             break
         found = carried(investigation, rows[0].found)
         decision = changed(investigation, decision, {**decision.kept, rows[0].name: rows}, found)

@@ -514,7 +514,7 @@ def test_a_name_must_explain_most_of_a_small_excess(monkeypatch, chosen, excess,
     score = Score(["aero_drag", "downforce"], np.diag([900.0, 900.0]), np.zeros(2))
     found = SimpleNamespace(vehicle=None)
     noise = {"chassis": 1e5, "steering": 1e4}
-    decision = SimpleNamespace(chosen=chosen, kept={}, found=found, noise=noise, score=score)
+    decision = SimpleNamespace(chosen=chosen, kept={}, found=found, noise=noise, score=score, doubted="")
     verdict = judge(investigation, decision)
     assert kind != "under_excited" or verdict.reason == "aero_drag explains only 46% of a small excess"
     assert verdict.kind == kind and verdict.effects == (() if kind in ("under_excited", "none") else ("aero_drag",))
@@ -632,7 +632,7 @@ def test_effects_that_are_one_in_a_log_are_rivals(monkeypatch):
         found = SimpleNamespace(vehicle=None)
         kept = {"steering_offset": [*rows, twin]}
         decision = SimpleNamespace(
-            chosen=["steering_offset"], kept=kept, found=found, noise={"chassis": 1e5}, score=score
+            chosen=["steering_offset"], kept=kept, found=found, noise={"chassis": 1e5}, score=score, doubted=""
         )
         verdict = judge(SimpleNamespace(shaped=False), decision)
         said = "steering_offset explains 100% of the excess" + "; so does steering_sensor_offset" * (
@@ -661,9 +661,14 @@ def test_a_name_that_resamples_shake_is_ambiguous_with_what_comes_out_instead(mo
             found=SimpleNamespace(vehicle=None),
             noise={"chassis": 1e5},
             score=Score([], np.zeros((0, 0)), np.zeros(0)),
+            doubted="",
         )
         verdict = judge(SimpleNamespace(shaped=False), decision)
         assert (verdict.kind, verdict.rivals) == (kind, ("camber_thrust",) if kind == "ambiguous" else ())
+        decision.doubted = "steering_nonlinearity"  # its form is not right, or something else is missing beside it
+        verdict = judge(SimpleNamespace(shaped=False), decision)
+        assert (verdict.kind, verdict.effects, verdict.rivals) == ("unknown", ("steering_offset",), ())
+        assert "more is missing, like steering_nonlinearity" in verdict.reason
 
 
 @pytest.mark.parametrize(

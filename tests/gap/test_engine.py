@@ -531,6 +531,20 @@ def test_a_small_effect_beside_a_large_one_is_named(monkeypatch):
 
 
 @needs_compiler
+def test_a_name_behind_which_more_is_missing_that_is_nothing_known_is_none(monkeypatch):
+    words = ["+vehicle/effect=[yaw_damping,viscous_drag]", "vehicle.effects.viscous_drag.coefficient=8.0"]
+    investigation = investigate(drive(*words), "yaw_damping", "viscous_drag")
+    answers = iter([False, True])
+    monkeypatch.setattr("racerl.gap.naming.in_doubt", lambda *_: next(answers))
+    decision = name_effects(investigation)
+    assert sorted([*decision.chosen, decision.doubted]) == ["viscous_drag", "yaw_damping"]
+    monkeypatch.setattr("racerl.gap.verdict.LEFT", 0.99)
+    monkeypatch.setattr("racerl.gap.verdict.CREDIBLE", 0.01)
+    assert judge(investigation, decision).kind == "unknown"
+    assert judge(investigation, dataclasses.replace(decision, doubted="")).kind == "named"
+
+
+@needs_compiler
 @pytest.mark.slow
 def test_what_is_left_by_a_name_is_excused_only_where_sensors_were_filtered(monkeypatch):
     words = ["+vehicle/effect=[steering_offset,viscous_drag]", "vehicle.effects.viscous_drag.coefficient=8.0"]
