@@ -230,10 +230,13 @@ def gap_close(
 
 @app.command(context_settings=HYDRA)
 def export(arguments: Annotated[list[str] | None, _words("RUN [KEY=VALUE]...", "export")] = None) -> None:
-    """Write a policy for other programs: racerl export outputs/train/first
+    """Write a policy, or a vehicle, for other programs: racerl export outputs/train/first
 
     policy.onnx and policy.h (C99, no library): what the car sees in its units in, references out. card.json says what
     goes in and out, and by how much the files differ from the policy. pip install -e '.[export]'
+
+    A vehicle, racerl export model.yaml: its body and side forces as F1TENTH's gym and ForzaETH's race stack take them.
+    `vehicle=` reads either form as well.
     """
     _run("export", arguments, _export, positional="run")
 
@@ -626,6 +629,9 @@ def _rerun(settings: "Settings", out: Path) -> None:
 
 
 def _export(settings: "Settings", out: Path) -> None:
+    if Path(settings["run"]).is_file():
+        _export_vehicle(settings, out)
+        return
     from racerl.deploy.export import CARD, HEADER, ONNX, export
 
     card = export(settings, out)
@@ -637,6 +643,16 @@ def _export(settings: "Settings", out: Path) -> None:
         f"differs from the policy by at most {', '.join(differences)} rad or m/s ({parity['observations']:,} tried)",
         f"{out / ONNX}, {out / HEADER}; what goes in and out: {out / CARD}",
     )
+
+
+def _export_vehicle(settings: "Settings", out: Path) -> None:
+    from racerl.deploy.vehicle import GYM, PACEJKA, export_vehicle
+
+    told = export_vehicle(settings, out)
+    lines = [f"{out / GYM} for F1TENTH's gym, {out / PACEJKA} for ForzaETH's race stack"]
+    if told["lacking"]:
+        lines.insert(0, f"warning: neither knows {', '.join(told['lacking'])}, so what they drive is another car")
+    _print_lines(_console(), *lines)
 
 
 def _bench(settings: "Settings", out: Path) -> None:

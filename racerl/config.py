@@ -47,7 +47,7 @@ ASKED = {
 }
 PATHS = {  # positional keys that name files or folders, and what is allowed
     "logs": "drive logs: CSV, Parquet or a bag",
-    "run": "a training run, a drive log, paper:rl or paper:human",
+    "run": "a training run, a drive log, a vehicle, paper:rl or paper:human",
     "runs": "finished runs",
     "drivers": "finished evaluate, drive or train runs, paper:rl or paper:human",
 }

@@ -11,6 +11,7 @@ from racerl.errors import VehicleError, suggest
 from racerl.vehicle import effects as effects_package
 from racerl.vehicle.actuator import FirstOrder, MotorCurrent
 from racerl.vehicle.effects import Effect
+from racerl.vehicle.forms import own_form
 from racerl.vehicle.parameter import build, check_value
 from racerl.vehicle.tyre import MagicFormula
 from racerl.vehicle.vehicle import Vehicle
@@ -90,7 +91,8 @@ def _with_file(settings: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return the content of `settings["file"]`, if there is one, under what the settings say themselves."""
     if "file" not in settings:
         return settings
-    return _merged(read_yaml(Path(settings["file"])), {k: v for k, v in settings.items() if k != "file"})
+    path = Path(settings["file"])
+    return _merged(own_form(read_yaml(path), path), {k: v for k, v in settings.items() if k != "file"})
 
 
 def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,0 +1,158 @@
+"""Vehicles in the forms that other racing stacks keep them in, out and in.
+
+F1TENTH's gym (CommonRoad's single-track model): side forces μ C_S F_z α without a peak, C_S in 1/rad, loads by the
+height h. ForzaETH's race stack: μ D F_z sin(C atan(B α − E (B α − atan(B α)))), [B, C, D, E] per axle. Both hold side
+forces at static loads; what they do not know, on reading, is the `published` car's: the tyres lengthways and under
+combined slip, the drive and the drag.
+"""
+
+import logging
+from collections.abc import Mapping
+from math import atan, sin
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from racerl.documents import conf_folder, read_yaml
+from racerl.errors import VehicleError
+from racerl.vehicle.parameter import values
+from racerl.vehicle.vehicle import GRAVITY, Vehicle
+
+LOADED = "longitudinal_load_transfer"
+HEIGHT = f"effects.{LOADED}.height"
+KEYS = ("F_z0", "p_Cy1", "p_Dy1", "p_Dy2", "p_Ey1", "p_Ey2", "p_Ky1", "p_Ky2", "p_Ky4")
+GYM = {"mu", "C_Sf", "C_Sr", "lf", "lr", "m", "I"}
+PACEJKA = {"C_Pf", "C_Pr", "mu", "m", "I_z", "l_f", "l_r"}
+BASE = "published"
+SLOPE = sin(2.0 * atan(0.5))  # K_yα/(p_Ky1 F_z) at the nominal load, by the usual p_Ky2 and p_Ky4
+log = logging.getLogger(__name__)
+
+
+class Axle(NamedTuple):
+    """Side forces of an axle under a load in N: peak over the load without the floor's friction, stiffness in N/rad."""
+
+    load: float
+    shape: float
+    peak: float
+    curvature: float
+    stiffness: float
+
+    @classmethod
+    def of(cls, tyre: Mapping[str, float], load: float) -> "Axle":
+        """Return a tyre's side forces (4.E19–4.E30) under a load."""
+        extra = load / tyre["F_z0"] - 1.0
+        stiffness = tyre["p_Ky1"] * tyre["F_z0"] * sin(tyre["p_Ky4"] * atan(load / (tyre["p_Ky2"] * tyre["F_z0"])))
+        peak, curvature = (tyre[f"p_{name}1"] + tyre[f"p_{name}2"] * extra for name in ("Dy", "Ey"))
+        return cls(load, tyre["p_Cy1"], peak, min(curvature, 1.0), stiffness)
+
+    def coefficients(self, friction: float) -> list[float]:
+        """Return B, C, D, E."""
+        B = self.stiffness / (self.shape * friction * self.peak * self.load)
+        return [B, self.shape, self.peak, self.curvature]
+
+
+def gym_form(vehicle: Vehicle) -> dict[str, float]:
+    """Return the parameters that F1TENTH's gym takes for a car; its limits are not the car's and left out."""
+    table, front, rear = _axles(vehicle)
+    mu = table["friction"] * (front.peak * front.load + rear.peak * rear.load) / (front.load + rear.load)
+    return {
+        "mu": mu,
+        "C_Sf": front.stiffness / (mu * front.load),
+        "C_Sr": rear.stiffness / (mu * rear.load),
+        "lf": table["l_f"],
+        "lr": table["wheelbase"] - table["l_f"],
+        "h": table.get(HEIGHT, 0.0),
+        "m": table["mass"],
+        "I": table["yaw_inertia"],
+    }
+
+
+def pacejka_form(vehicle: Vehicle, name: str) -> dict[str, Any]:
+    """Return the parameters of ForzaETH's Pacejka model; its throttle and drag fits have no counterpart here."""
+    table, front, rear = _axles(vehicle)
+    mu = table["friction"]
+    return {
+        "model_name": name,
+        "tire_model": "pacejka",
+        "C_Pf": front.coefficients(mu),
+        "C_Pr": rear.coefficients(mu),
+        "mu": mu,
+        "m": table["mass"],
+        "I_z": table["yaw_inertia"],
+        "l_f": table["l_f"],
+        "l_r": table["wheelbase"] - table["l_f"],
+        "l_wb": table["wheelbase"],
+        "h_cg": table.get(HEIGHT, 0.0),
+        "tau_steer": table["steering.time_constant"],
+    }
+
+
+def own_form(document: Mapping[str, Any], path: Path) -> Mapping[str, Any]:
+    """Return a vehicle's document in the form of `conf/vehicle/*.yaml`, whosever form it has.
+
+    Raises VehicleError where a number is missing or none.
+    """
+    keys = set(document)
+    for needed, translated, whose in ((PACEJKA, _from_pacejka, "ForzaETH's"), (GYM, _from_gym, "F1TENTH's gym's")):
+        if {"C_Pf", "C_Sf"} & needed & keys:
+            if missing := sorted(needed - keys):
+                raise VehicleError(f"{path}: has {whose} form, but lacks {', '.join(missing)}")
+            unknown = "its tyres lengthways, drive and drag"
+            log.warning("%s: a vehicle in %s form; %s are those of vehicle=%s", path, whose, unknown, BASE)
+            return translated(document, path)
+    return document
+
+
+def _from_pacejka(document: Mapping[str, Any], path: Path) -> dict[str, Any]:
+    number = _reader(document, path)
+    mu, l_f, l_r = number("mu"), number("l_f"), number("l_r")
+    vehicle = _body(number("m"), number("I_z"), l_f, l_r, mu)
+    for axle, key in (("front", "C_Pf"), ("rear", "C_Pr")):
+        row = document[key]
+        if not isinstance(row, list) or len(row) != 4:
+            raise VehicleError(f"{path}: {key} = {row}: four numbers B, C, D, E are expected")
+        B, C, D, E = (_number(path, f"{key}[{i}]", each) for i, each in enumerate(row))
+        vehicle[axle] |= {"p_Cy1": C, "p_Dy1": D, "p_Ey1": E, "p_Ky1": B * C * mu * D / SLOPE}
+    if "tau_steer" in document:
+        vehicle["steering"] = {"time_constant": number("tau_steer")}
+    return _loaded(vehicle, number("h_cg") if "h_cg" in document else 0.0)
+
+
+def _from_gym(document: Mapping[str, Any], path: Path) -> dict[str, Any]:
+    number = _reader(document, path)
+    mu = number("mu")
+    vehicle = _body(number("m"), number("I"), number("lf"), number("lr"), mu)
+    for axle, key in (("front", "C_Sf"), ("rear", "C_Sr")):
+        vehicle[axle] |= {"p_Dy1": 1.0, "p_Ky1": number(key) * mu / SLOPE}
+    return _loaded(vehicle, number("h") if "h" in document else 0.0)
+
+
+def _body(mass: float, inertia: float, l_f: float, l_r: float, mu: float) -> dict[str, Any]:
+    """Return the base car's document with another body, its tyres' nominal loads those of that car standing."""
+    vehicle = read_yaml(conf_folder() / "vehicle" / f"{BASE}.yaml")
+    vehicle |= {"mass": mass, "yaw_inertia": inertia, "wheelbase": l_f + l_r, "l_f": l_f, "friction": mu}
+    for axle, arm in (("front", l_r), ("rear", l_f)):
+        vehicle[axle] = {**vehicle[axle], "F_z0": mass * GRAVITY * arm / (l_f + l_r)}
+    return vehicle
+
+
+def _loaded(vehicle: dict[str, Any], height: float) -> dict[str, Any]:
+    return {**vehicle, "effects": {LOADED: {"height": height}}} if height > 0.0 else vehicle
+
+
+def _reader(document: Mapping[str, Any], path: Path) -> Any:
+    return lambda key: _number(path, key, document[key])
+
+
+def _number(path: Path, key: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise VehicleError(f"{path}: {key} = {value!r}: a number is expected")
+    return float(value)
+
+
+def _axles(vehicle: Vehicle) -> tuple[dict[str, float], Axle, Axle]:
+    """Return the vehicle's numbers by name, and its axles as they are loaded when it stands."""
+    table = {name: float(value) for name, value in values(vehicle).items()}
+    weight = table["mass"] * GRAVITY / table["wheelbase"]
+    loads = {"front": weight * (table["wheelbase"] - table["l_f"]), "rear": weight * table["l_f"]}
+    front, rear = (Axle.of({key: table[f"{name}.{key}"] for key in KEYS}, load) for name, load in loads.items())
+    return table, front, rear
