@@ -141,6 +141,16 @@ def report_compare(arguments: Annotated[list[str] | None, _words("A B [KEY=VALUE
 
 
 @app.command(context_settings=HYDRA)
+def show(arguments: Annotated[list[str] | None, _words("RUN... [KEY=VALUE]...", "show")] = None) -> None:
+    """Drive the fastest laps once more, side by side: racerl show outputs/train/first paper:human
+
+    Writes report.html, to play and scrub in a browser, and laps.gif (or file=laps.mp4). A driver is a finished
+    evaluate or drive run, a training run (its newest race), paper:rl or paper:human.
+    """
+    _run("show", arguments, _show, positional="drivers")
+
+
+@app.command(context_settings=HYDRA)
 def data(arguments: Annotated[list[str] | None, _words("LOG... [KEY=VALUE]...", "data")] = None) -> None:
     """Show what logs hold: racerl data drive.csv.gz, or racerl data bag.mcap data=f1tenth
 
@@ -771,6 +781,13 @@ def _compare(settings: "Settings", out: Path) -> None:
 
     page = compare(settings, out)
     _console().print(f"report in {page}", highlight=False, soft_wrap=True)
+
+
+def _show(settings: "Settings", out: Path) -> None:
+    from racerl.report.show import show
+
+    page = show(settings, out)
+    _console().print(f"{out / settings['file']}; to play and scrub: {page}", highlight=False, soft_wrap=True)
 
 
 def _data(words: Sequence[str], settings: "Settings", out: Path) -> None:

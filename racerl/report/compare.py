@@ -1,33 +1,18 @@
-"""Two drivers side by side: Table I and the counterpart of the paper's Fig. 6, on one self-contained page.
+"""Two drivers side by side: Table I and the counterpart of the paper's Fig. 6, on one self-contained page."""
 
-A driver is a finished run that holds laps, a training run (its newest evaluation), or one of the paper's two laps.
-"""
-
-import io
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import pandas as pd
-
-from racerl.data.log import Log
-from racerl.documents import conf_folder
 from racerl.errors import ConfigError, RunError
-from racerl.evaluate.laps import rows, score
-from racerl.evaluate.outcome import track_table
-from racerl.evaluate.recorded import follow
-from racerl.paper import LAPS, PAPER, find_lap
+from racerl.paper import LAPS
+from racerl.report.driver import ALLOWED, Driver, same
 from racerl.report.figures import duel
-from racerl.report.flying_lap import FlyingLap, fastest_lap
+from racerl.report.flying_lap import FlyingLap
 from racerl.report.page import figure, write_page
 from racerl.report.report import origins, paper_rows, table_row
-from racerl.report.subjects import TRACK_COLUMNS, Evaluation, Subject, find_subjects
 from racerl.run import RunFolder
-from racerl.track.load import read_track
 
-ALLOWED = f"finished evaluate, drive or train runs, {', '.join(LAPS)}"
 CAPTION = (
     "The fastest lap of either, one that never leaves the track where there is one. Marks stand where the cars are at "
     "equal times since the line. Delta time is A's time at a place less B's: where it falls, A is gaining."
@@ -35,29 +20,6 @@ CAPTION = (
 DIGITISED = (
     " The paper's laps are digitised; their speed and steering end 0.8 m before the line, the last value is held there."
 )
-SAME = 1e-3  # m, by which tables of one track may differ
-
-
-@dataclass(frozen=True)
-class Driver:
-    """One side of the comparison."""
-
-    subject: Subject
-    lap: FlyingLap
-    track: pd.DataFrame
-
-    @classmethod
-    def find(cls, word: str, outputs: Path, title: str = "{}") -> "Driver":
-        """Return the driver that a word names, its title put into `title`; raise ConfigError or RunError."""
-        subject = _of_paper(word) if word.startswith(PAPER) else _of_run(word, outputs)
-        subject = replace(subject, title=title.format(subject.title))
-        evaluation = subject.evaluation
-        if evaluation is None:
-            raise RunError(f"{word}: has not been raced; race it with: racerl evaluate {word}")
-        lap = fastest_lap(subject.title, evaluation)
-        if lap is None:
-            raise RunError(f"{word}: finished no lap; race it for more laps=…, or train it for longer")
-        return cls(subject, lap, evaluation.track)
 
 
 def compare(settings: Mapping[str, Any], out: Path, outputs: Path = Path("outputs")) -> Path:
@@ -69,11 +31,11 @@ def compare(settings: Mapping[str, Any], out: Path, outputs: Path = Path("output
     if len(words) != 2:
         raise ConfigError(f"drivers: {len(words)} given, two are compared ({ALLOWED}): racerl report compare A B")
     a, b = (Driver.find(word, outputs, f"{letter}: {{}}") for letter, word in zip("AB", words, strict=True))
-    if not _same(a.track, b.track):
+    if not same(a.track, b.track):
         raise RunError(f"{words[0]}, {words[1]}: were driven on different tracks; race both on one with track=…")
     theirs = bool(set(words) & set(LAPS))
     paper = [] if theirs else [Driver.find(word, outputs) for word in LAPS]
-    paper = [driver for driver in paper if _same(driver.track, a.track)]
+    paper = [driver for driver in paper if same(driver.track, a.track)]
     folder = RunFolder.start(out, "compare", settings)
     svg = duel.draw(a.lap, b.lap, a.track, [driver.lap for driver in paper])
     caption = CAPTION + (DIGITISED if theirs or paper else "")
@@ -102,28 +64,3 @@ def headline(a: FlyingLap, b: FlyingLap) -> str:
 
 def _listed(words: str | Sequence[Any]) -> Sequence[Any]:
     return [words] if isinstance(words, str) else words
-
-
-def _of_run(word: str, outputs: Path) -> Subject:
-    if not Path(word).is_dir():
-        raise RunError(f"{word}: no such run; allowed are {ALLOWED}")
-    found = find_subjects([Path(word)], outputs)
-    if not found:
-        raise RunError(f"{word}: is no run that holds laps; allowed are {ALLOWED}")
-    return found[0]
-
-
-def _of_paper(word: str) -> Subject:
-    """Return one of the paper's laps, scored by our clock on the packaged track."""
-    title, lap = find_lap(word)
-    track = read_track(conf_folder() / "track" / "l_shape.csv")
-    laps, drive = follow(track, [Log.from_table(word, lap)])
-    metrics = {**score(laps), "track": track.name, "label": title, "car": "real", "rows": rows(laps, [0])}
-    table = pd.read_csv(io.StringIO(track_table(track)))
-    return Subject(word, title, None, None, Evaluation(Path(word), {}, metrics, drive, table))
-
-
-def _same(track: pd.DataFrame, other: pd.DataFrame) -> bool:
-    """Return whether two tables are of one track."""
-    tables = [table[list(TRACK_COLUMNS)].to_numpy() for table in (track, other)]
-    return len(track) == len(other) and bool(np.abs(tables[0] - tables[1]).max() < SAME)

@@ -15,8 +15,8 @@ Array = NDArray[np.floating]
 class FlyingLap:
     """A finished lap.
 
-    `samples` has t in s and s in m from the line on, x, y, v_x and delta. Where they were recorded, v_y, the margin to
-    the nearer edge, one sample before the line and one after the lap are among them.
+    `samples` has t in s and s in m from the line on, x, y, v_x and delta. Where they were recorded, v_y, yaw, the
+    margin to the nearer edge, one sample before the line and one after the lap are among them.
     """
 
     driver: str  # as a legend names it
@@ -47,7 +47,7 @@ def fastest_lap(title: str, evaluation: Evaluation) -> FlyingLap | None:
     t = samples["t"] - (first - s[0] * (second - first) / (s[1] - s[0]))  # less the time of the line, by the first two
     left = "" if row["valid"] else ", left the track"
     driver = f"{title} ({evaluation.metrics['car']}), {row['time_s']:.3f} s{left}"
-    kept = ["x", "y", "v_x", "delta", *(name for name in ("v_y", "margin") if name in samples)]
+    kept = ["x", "y", "v_x", "delta", *(name for name in ("v_y", "margin", "yaw") if name in samples)]
     return FlyingLap(driver, row["time_s"], length, samples[kept].assign(s=s, t=t))
 
 

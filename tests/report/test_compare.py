@@ -15,7 +15,8 @@ from racerl.errors import RacerlError
 from racerl.evaluate.outcome import write_outcome
 from racerl.evaluate.recorded import follow
 from racerl.paper import human_lap, rl_lap
-from racerl.report.compare import Driver, compare
+from racerl.report.compare import compare
+from racerl.report.driver import Driver
 from racerl.report.flying_lap import FlyingLap, delta_time
 from racerl.run import RunFolder
 from racerl.track.load import read_track

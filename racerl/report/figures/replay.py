@@ -1,0 +1,115 @@
+"""Laps as a moving picture: cars on the track, behind each its last second and a half, coloured by side slip."""
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from racerl.errors import ConfigError
+from racerl.report.figures.style import INK, PAPER, colour, style
+from racerl.report.flying_lap import FlyingLap
+
+Array = NDArray[np.floating]
+CAR = (0.5, 0.28)  # m, length and width as drawn
+TRAIL = 1.5  # s
+SLIDES = 40.0  # degrees of side slip, where the colours end
+RATES = {".gif": 12.5, ".mp4": 30.0}  # pictures a second; a GIF's stand for whole hundredths of a second
+SIZE, DOTS = 8.0, 80  # in, at most, and dots per inch
+CORNERS = np.array([(0.5, 0.0), (0.3, 0.5), (-0.5, 0.5), (-0.5, -0.5), (0.3, -0.5)])  # of a car, in its size
+
+
+def writer(file: str) -> AbstractMovieWriter:
+    """Return what writes such a file; raise ConfigError for another kind, or where ffmpeg is missing."""
+    kind = Path(file).suffix
+    if kind not in RATES or Path(file).name != file:
+        raise ConfigError(f"file = {file}: a name that ends with {' or '.join(RATES)} is expected")
+    if kind == ".gif":
+        return PillowWriter(fps=RATES[kind])  # type: ignore[arg-type]
+    if not FFMpegWriter.isAvailable():
+        raise ConfigError(f"file = {file}: needs ffmpeg, which is not here; choose file=laps.gif")
+    return FFMpegWriter(fps=RATES[kind])  # type: ignore[arg-type]
+
+
+def draw(laps: Sequence[FlyingLap], track: pd.DataFrame, moving: AbstractMovieWriter) -> bytes:
+    """Return the content of the picture's file; all cars pass the line at its beginning."""
+    with style():
+        figure = _stage(track)
+        axis = figure.axes[0]
+        scale = Normalize(0.0, SLIDES)
+        shades = mpl.colormaps["viridis"].with_extremes(bad=PAPER)
+        trails = [LineCollection([], cmap=shades, norm=scale, linewidths=2.0) for _ in laps]
+        for trail in trails:
+            axis.add_collection(trail)
+        cars = [axis.fill([], [], facecolor=colour(i), edgecolor=INK, lw=0.8, zorder=3)[0] for i in range(len(laps))]
+        figure.legend(cars, [lap.driver for lap in laps], loc="outside lower left", fontsize=9)
+        clock = axis.set_title("0.00 s", fontsize=10, loc="right")
+        figure.colorbar(trails[0], ax=axis, label="side slip [°]", shrink=0.6)
+        figure.draw_without_rendering()  # lays out, once for all pictures
+        figure.set_layout_engine("none")
+        end = max(lap.time_s for lap in laps)
+        with tempfile.TemporaryDirectory(prefix="racerl-show-") as folder:
+            path = Path(folder) / f"laps{'.gif' if isinstance(moving, PillowWriter) else '.mp4'}"
+            with moving.saving(figure, str(path), DOTS):
+                for t in np.arange(0.0, end, 1.0 / moving.fps):
+                    for lap, trail, car in zip(laps, trails, cars, strict=True):
+                        _place(lap, float(t), trail, car)
+                    clock.set_text(f"{t:.2f} s")
+                    moving.grab_frame()
+            return path.read_bytes()
+
+
+def heading(lap: FlyingLap) -> Array:
+    """Return where the car points in rad, unwrapped; by the way that it goes where the heading was not recorded."""
+    if "yaw" in lap.samples:
+        return np.unwrap(lap.samples["yaw"])
+    course = np.arctan2(np.gradient(lap.samples["y"]), np.gradient(lap.samples["x"]))
+    return np.unwrap(course) - np.radians(np.nan_to_num(side_slip(lap)))
+
+
+def side_slip(lap: FlyingLap) -> Array:
+    """Return the side slip in degrees; NaN where it was not recorded."""
+    if "v_y" not in lap.samples:
+        return np.full(len(lap.samples), np.nan)
+    return np.degrees(np.arctan2(lap.samples["v_y"].to_numpy(), lap.samples["v_x"].clip(lower=0.1).to_numpy()))
+
+
+def _stage(track: pd.DataFrame) -> Figure:
+    """Return a figure of the empty track."""
+    wide, tall = (float(np.ptp(track[[f"left_{a}_m", f"right_{a}_m"]])) for a in ("x", "y"))
+    across = SIZE if wide >= tall else SIZE * max(wide / tall, 0.5) + 1.5
+    figure = Figure(figsize=(across, min(SIZE, across * tall / wide) + 0.8))
+    FigureCanvasAgg(figure)
+    axis = figure.add_subplot()
+    for side in ("left", "right"):
+        x, y = track[f"{side}_x_m"], track[f"{side}_y_m"]
+        axis.plot([*x, x.iloc[0]], [*y, y.iloc[0]], color="black", lw=1.0)
+    start = track.iloc[0]
+    axis.plot([start["left_x_m"], start["right_x_m"]], [start["left_y_m"], start["right_y_m"]], color=INK, lw=3.0)
+    axis.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+    return figure
+
+
+def _place(lap: FlyingLap, t: float, trail: LineCollection, car: Any) -> None:
+    """Move a car and what it leaves behind to a time in s since the line; it stays at the end of its lap."""
+    samples = lap.samples
+    t = min(t, lap.time_s, float(samples["t"].iloc[-1]))
+    times = np.linspace(max(t - TRAIL, float(samples["t"].iloc[0])), t, 40)
+    x, y, slip, yaw = (
+        np.interp(times, samples["t"], np.asarray(column))
+        for column in (samples["x"], samples["y"], np.abs(side_slip(lap)), heading(lap))
+    )
+    points = np.stack([x, y], axis=1)
+    trail.set_segments(list(np.stack([points[:-1], points[1:]], axis=1)))
+    trail.set_array(slip[1:])
+    turn = np.array([[np.cos(yaw[-1]), np.sin(yaw[-1])], [-np.sin(yaw[-1]), np.cos(yaw[-1])]])
+    car.set_xy(CORNERS * CAR @ turn + points[-1])

@@ -1,0 +1,63 @@
+"""Fastest laps driven once more, side by side: a page to play and scrub, and a moving picture."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from racerl.documents import write_bytes
+from racerl.errors import ConfigError, RunError
+from racerl.report.driver import ALLOWED, Driver, same
+from racerl.report.figures import replay
+from racerl.report.flying_lap import FlyingLap
+from racerl.report.page import write_page
+from racerl.run import RunFolder
+
+MOST = 6
+DIGITS = 4
+
+
+def show(settings: Mapping[str, Any], out: Path, outputs: Path = Path("outputs")) -> Path:
+    """Write the page and the moving picture of the laps of `settings["drivers"]`; return the page's path.
+
+    Raises ConfigError or RunError, one line, for what cannot be shown.
+    """
+    words = [str(word) for word in settings["drivers"]]
+    if not 1 <= len(words) <= MOST:
+        raise ConfigError(f"drivers: {len(words)} given, 1 to {MOST} are shown ({ALLOWED}): racerl show RUN…")
+    moving = replay.writer(str(settings["file"]))
+    drivers = [Driver.find(word, outputs) for word in words]
+    for word, driver in zip(words[1:], drivers[1:], strict=True):
+        if not same(driver.track, drivers[0].track):
+            raise RunError(f"{words[0]}, {word}: were driven on different tracks; race both on one with track=…")
+    folder = RunFolder.start(out, "show", settings)
+    laps, track = [driver.lap for driver in drivers], drivers[0].track
+    write_bytes(folder.path / str(settings["file"]), replay.draw(laps, track, moving))
+    data = {
+        "left": track[["left_x_m", "left_y_m"]].round(DIGITS).to_numpy().tolist(),
+        "right": track[["right_x_m", "right_y_m"]].round(DIGITS).to_numpy().tolist(),
+        "length": laps[0].length,
+        "slides": replay.SLIDES,
+        "car": replay.CAR,
+        "laps": [_numbers(lap) for lap in laps],
+    }
+    page = write_page(folder.path, "show_page.html.j2", headline=headline(laps), data=data)
+    folder.finish()
+    return page
+
+
+def headline(laps: Sequence[FlyingLap]) -> str:
+    """Return what is to be seen."""
+    return laps[0].driver if len(laps) == 1 else f"{len(laps)} laps, the fastest in {min(x.time_s for x in laps):.3f} s"
+
+
+def _numbers(lap: FlyingLap) -> dict[str, Any]:
+    """Return a lap as the page plays it: time, place on the track and in the world, heading, speed, side slip."""
+    samples = lap.samples
+    columns = {"t": samples["t"], "s": samples["s"], "x": samples["x"], "y": samples["y"], "v": samples["v_x"]}
+    columns |= {"yaw": replay.heading(lap), "slip": replay.side_slip(lap)}
+    rows = {name: np.round(np.asarray(column, float), DIGITS).tolist() for name, column in columns.items()}
+    if np.isnan(rows["slip"]).all():
+        rows["slip"] = None  # not recorded
+    return {"driver": lap.driver, "time": lap.time_s, **rows}
