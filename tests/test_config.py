@@ -87,6 +87,7 @@ def test_every_choice_composes_and_drives(choice, monkeypatch):
         ("drive", []),
         ("report", []),
         ("compare", []),
+        ("show", []),
         ("data", ["logs=[x]"]),
         ("identify", ["logs=[x]"]),
         ("optimum", []),

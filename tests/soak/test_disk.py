@@ -37,6 +37,7 @@ COMMANDS = {
     "optimum": ["optimum", "track=oval"],
     "report": ["report", "{raced}"],
     "report compare": ["report", "compare", "paper:rl", "paper:human"],
+    "show": ["show", "paper:rl", "paper:human"],
     "sweep": ["sweep", "actuator_model", *TRAIN, "seeds=[0]", "cars=[model]"],
     "tune": ["tune", "pure_pursuit", "trials=2", "laps=1", "seeds=[0]"],
     "bench": ["bench", "policy"],
