@@ -787,7 +787,7 @@ def _show(settings: "Settings", out: Path) -> None:
     from racerl.report.show import show
 
     page = show(settings, out)
-    _console().print(f"{out / settings['file']}; to play and scrub: {page}", highlight=False, soft_wrap=True)
+    _print_lines(_console(), f"{out / settings['file']}; to play and scrub: {page}")
 
 
 def _data(words: Sequence[str], settings: "Settings", out: Path) -> None:

@@ -47,7 +47,7 @@ ASKED = {
 }
 PATHS = {  # positional keys that name files or folders, and what is allowed
     "logs": "drive logs: CSV, Parquet or a bag",
-    "run": "a training run, a drive log, a vehicle, paper:rl or paper:human",
+    "run": "a training run; for evaluate also a drive log, paper:rl or paper:human, for export a vehicle",
     "runs": "finished runs",
     "drivers": "finished evaluate, drive or train runs, paper:rl or paper:human",
 }
@@ -123,10 +123,13 @@ def _shortest(path: Path) -> Path:
     return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
 
 
-def compose_settings(command: str, overrides: Sequence[str] = (), positional: str | None = None) -> Settings:
-    """Return the composed settings of a command, for use from Python; bare words fill the key `positional`."""
+def compose_settings(
+    command: str, overrides: Sequence[str] = (), places: Mapping[str, Sequence[str]] | None = None
+) -> Settings:
+    """Return the composed settings of a command, for use from Python; `places` are files or folders by their key."""
     _register()
-    words = _rewrite(command, list(overrides), positional)
+    words = _rewrite(command, list(overrides), None)
+    words += [_bare_override(key, list(named)) for key, named in (places or {}).items()]
     try:
         settings = _plain(command, _compose(command, words))
     except (HydraException, OmegaConfBaseException) as error:
@@ -379,6 +382,8 @@ def _translate(command: str, error: Exception) -> ConfigError:
     key = re.search(
         r"(?:Could not override|Could not delete from config|Could not append to config)[^']*'([^']+)'", text
     )
+    if key and "An item is already at" in text:
+        return ConfigError(f"+{key[1]}: is there already; write {key[1]}=… without the +")
     if key:
         known = [*_keys(OmegaConf.to_container(_compose(command, []), resolve=False)), *default_groups(command)]
         return _unknown_key(command, key[1], known)

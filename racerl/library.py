@@ -9,25 +9,29 @@
 
 `words` are those of the command line, `settings` its keys and groups by name (`vehicle="published"`, `seed=1`); both
 are checked as there, and what is wrong is raised as a `racerl.errors.RacerlError`, one line. Results lie in the folder
-`out` (the command's own dated one by default). The same call with the same `out` goes on with a run that was
-interrupted, and `of(folder)` of a result reads a finished one.
+`out` (the command's own dated one by default). Trainings and diagnoses that were interrupted go on by the same call
+with the same `out`, and `of(folder)` of a result reads a finished run.
 """
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import pandas as pd
 
-from racerl.config import Settings, compose_settings
+from racerl.choices import default_groups
+from racerl.config import PAPER, Settings, compose_settings, quote
 from racerl.control.policy import Policy, load_policy
 from racerl.documents import read_json
+from racerl.errors import ConfigError, RunError
 from racerl.gap.hypotheses import Hypothesis
 from racerl.run import RunFolder
 
-Setting = str | int | float | bool | Path | Sequence[str | int | float | Path]
+Setting = str | float | Path | None | Sequence[str | float | Path | None]
 Places = str | Path | Sequence[str | Path]
 OnProgress = Callable[[float, str], None]  # the share of the work behind it, and what is being done
 
@@ -71,7 +75,7 @@ class Recording(Result):
     @property
     def log(self) -> Path:
         """The log's file."""
-        return self.folder / str(RunFolder.open_complete(self.folder, "record").settings()["file"])
+        return self.folder / str(self.facts["log"])
 
 
 class Identification(Result):
@@ -79,8 +83,15 @@ class Identification(Result):
 
     @property
     def model(self) -> Path:
-        """The vehicle, as `vehicle=` takes it."""
+        """The vehicle, as `vehicle=` takes it; RunError where none was fitted."""
+        if not self.facts["fitted"]:
+            raise RunError(f"{self.folder}: nothing was fitted there")
         return self.folder / "model.yaml"
+
+    @property
+    def page(self) -> Path:
+        """The report."""
+        return self.folder / "report.html"
 
     @property
     def usable(self) -> bool:
@@ -90,7 +101,7 @@ class Identification(Result):
     @property
     def parameters(self) -> dict[str, Estimate]:
         """The parameters that were fitted, by name."""
-        return {name: _estimate(row) for name, row in self.facts["parameters"].items()}
+        return {name: _estimate(row) for name, row in self.facts.get("parameters", {}).items()}
 
 
 class Diagnosis(Result):
@@ -100,6 +111,11 @@ class Diagnosis(Result):
     def model(self) -> Path:
         """The vehicle with what was found, as `vehicle=` takes it."""
         return self.folder / "model.yaml"
+
+    @property
+    def page(self) -> Path:
+        """The report."""
+        return self.folder / "report.html"
 
     @property
     def verdict(self) -> str:
@@ -174,7 +190,7 @@ class Laps(Result):
         return pd.read_parquet(self.folder / "trajectories.parquet")
 
     def _number(self, name: str) -> float | None:
-        value = self.facts[name]
+        value = self.facts.get(name)
         return None if value is None else float(value)
 
 
@@ -217,9 +233,11 @@ def identify(
 ) -> Identification:
     """Find a car's parameters from its logs: `racerl identify`."""
     from racerl.identify.identify import identify as stage
+    from racerl.report.identification_page import draw_identification
 
-    composed = _composed("identify", words, settings, out, "logs", logs)
+    composed = _composed("identify", words, settings, out, logs=logs)
     stage(composed, Path(composed["out"]), on_progress)
+    draw_identification(Path(composed["out"]))
     return Identification.of(composed["out"])
 
 
@@ -228,16 +246,18 @@ def gap(
 ) -> Diagnosis:
     """Find what a car does and its model does not: `racerl gap`."""
     from racerl.gap.diagnose import gap as stage
+    from racerl.report.gap_page import draw_gap
 
-    composed = _composed("gap", words, settings, out, "logs", logs)
+    composed = _composed("gap", words, settings, out, logs=logs)
     stage(composed, Path(composed["out"]), lambda what, share: on_progress(share, what))
+    draw_gap(Path(composed["out"]))
     return Diagnosis.of(composed["out"])
 
 
 def train(
     *words: str, out: str | Path | None = None, on_progress: OnProgress = silent, **settings: Setting
 ) -> Training:
-    """Train a policy: `racerl train`; "from=RUN" among the words refines that run's in a changed world."""
+    """Train a policy: `racerl train`; with "from=RUN" among the words that run's is refined in a changed world."""
     from racerl.train.onward import train_onward
     from racerl.train.session import Progress
     from racerl.train.train import train as anew
@@ -258,7 +278,7 @@ def evaluate(
     """Race a trained policy, or score a recorded drive: `racerl evaluate RUN`."""
     from racerl.evaluate.evaluate import evaluate as stage
 
-    composed = _composed("evaluate", words, settings, out, "run", run)
+    composed = _composed("evaluate", words, settings, out, run=run)
     stage(composed, Path(composed["out"]), on_progress)
     return Laps.of(composed["out"])
 
@@ -288,23 +308,41 @@ def _composed(
     words: Sequence[str],
     settings: Mapping[str, Setting],
     out: str | Path | None,
-    positional: str | None = None,
-    places: Places = (),
+    **places: Places,
 ) -> Settings:
     """Return a command's settings, from what was given by its place, in words and by name."""
-    bare = [places] if isinstance(places, str | Path) else places
-    given = [f"{name}={_written(value)}" for name, value in settings.items()]
-    given += [] if out is None else [f"out={out}"]
-    return compose_settings(command, [*map(str, bare), *words, *given], positional)
+    groups = default_groups(command)
+    given = [f"{name}={value if name in groups else _written(name, value)}" for name, value in settings.items()]
+    given += [] if out is None else [f"out={quote(_place(out))}"]
+    listed = {key: [each] if isinstance(each, str | Path) else each for key, each in places.items()}
+    composed = compose_settings(
+        command, [*words, *given], {key: list(map(_place, each)) for key, each in listed.items()}
+    )
+    return composed if out is not None or any(word.startswith("out=") for word in words) else _fresh(composed)
 
 
-def _written(value: Setting) -> str:
+def _place(path: str | Path) -> str:
+    return str(path) if str(path).startswith(PAPER) else str(Path(path).expanduser())
+
+
+def _fresh(settings: Settings) -> Settings:
+    """Return the settings with a folder of their own: those that are named by the second may be there already."""
+    dated = Path(settings["out"])
+    free = (dated if n == 1 else dated.with_name(f"{dated.name}_{n}") for n in itertools.count(1))
+    return {**settings, "out": str(next(path for path in free if not path.exists()))}
+
+
+def _written(name: str, value: Setting) -> str:
     """Return a value as the command line has it."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, str | int | float | Path):
-        return str(value)
-    return f"[{','.join(map(str, value))}]"
+    if value is None or isinstance(value, bool):
+        return "null" if value is None else str(value).lower()
+    if isinstance(value, Integral | Real):
+        return repr(int(value)) if isinstance(value, Integral) else repr(float(value))
+    if isinstance(value, str | Path):
+        return quote(str(value))
+    if not isinstance(value, Sequence):
+        raise ConfigError(f"{name} = {value!r}: a number, a text, a path, or a list of these is expected")
+    return f"[{','.join(_written(name, each) for each in value)}]"
 
 
 def _estimate(row: Mapping[str, Any]) -> Estimate:

@@ -1,5 +1,7 @@
 """racerl from Python: from a simulated drive to a diagnosis, a policy and its laps."""
 
+import shutil
+
 import numpy as np
 import pytest
 import torch
@@ -56,7 +58,7 @@ def test_a_car_is_identified_with_intervals(recorded, tmp_path):
     found = identify(recorded.log, vehicle="published", hold=hold, starts=1, folds=0, threads=1, out=car)
     inertia = found.parameters["yaw_inertia"]
     assert inertia.low < inertia.value < inertia.high and inertia.unit == "kg m²"
-    assert isinstance(found.usable, bool) and found.model.is_file()
+    assert found.usable is found.facts["verdict"]["usable"] and found.model.is_file() and found.page.is_file()
 
 
 def test_what_a_car_does_and_its_model_does_not_is_named(recorded, tmp_path):
@@ -66,7 +68,7 @@ def test_what_a_car_does_and_its_model_does_not_is_named(recorded, tmp_path):
     damping = found.effects["yaw_damping"]["coefficient"]
     assert damping.low < 0.15 < damping.high and damping.unit == "N m s"
     assert found.hypotheses[0] == Hypothesis(("yaw_damping",), found.hypotheses[0].probability)
-    assert found.numbers == {} and found.model.is_file()
+    assert found.numbers == {} and found.model.is_file() and found.page.is_file()
     assert Diagnosis.of(found.folder).effects == found.effects
     with pytest.raises(RunError, match="gap run"):
         Training.of(found.folder)
@@ -83,7 +85,7 @@ def test_a_policy_is_trained_and_raced(trained, tmp_path):
     assert trained.policy(seen).shape == (3, 2)
     laps = evaluate(trained.folder, car="twin", laps=1, seeds=[0, 1], threads=1, out=tmp_path / "laps")
     assert laps.facts["car"] == "twin" and len(laps.laps) == 2 and laps.facts["seed"] == [0, 1]
-    assert laps.mean_lap is None or laps.mean_lap > 5.0
+    assert (laps.mean_lap, laps.optimum) == (laps.facts["mean_lap_s"], laps.facts["optimum_s"])
     assert {"t", "x", "y"} <= set(laps.trajectories.columns)
     assert Laps.of(laps.folder).facts == laps.facts
 
@@ -114,6 +116,26 @@ def test_what_is_mistyped_is_said_in_one_line(recorded, tmp_path):
     assert not (tmp_path / "a").exists()
 
 
+@pytest.mark.parametrize("name", ["mu=0.8, grippy.parquet", "fährt 1.parquet", "[a]'b.parquet"])
+def test_any_path_is_taken_as_it_is(recorded, tmp_path, name):
+    copy = shutil.copy(recorded.log, tmp_path / name)
+    out = tmp_path / f"of {name}"
+    seen = identify(copy, vehicle="published", fit=False, threads=np.int64(1), out=out)
+    assert seen.folder == out and seen.parameters == {} and seen.page.is_file()
+    assert seen.facts["logs"][0]["name"] == name
+    with pytest.raises(RunError, match="nothing was fitted"):
+        _ = seen.model
+
+
+def test_a_folder_of_its_own_for_every_call(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    drives = [record(seconds=5, drive="race", file="fährt, 1.parquet", seed=seed) for seed in np.arange(2)]
+    assert drives[0].folder != drives[1].folder and all(drive.log.is_file() for drive in drives)
+
+
 def test_values_are_written_as_on_the_command_line(tmp_path):
-    assert _written(True) == "true" and _written(0.5) == "0.5" and _written([1, "a"]) == "[1,a]"
-    assert _written(tmp_path) == str(tmp_path) and np.isclose(float(_written(1e-7)), 1e-7)
+    wanted = {"true": True, "null": None, "0.5": np.float32(0.5), "3": np.int64(3), "[1,'a,b',null]": [1, "a,b", None]}
+    assert {_written("x", value): value for value in wanted.values()} == wanted
+    assert _written("x", tmp_path) == f"'{tmp_path}'" and float(_written("x", 1e-7)) == 1e-7
+    with pytest.raises(ConfigError, match=r"x = {'a': 1}: a number, a text"):
+        _written("x", {"a": 1})

@@ -80,8 +80,8 @@ def _case(hidden: Iterable[str], rounds: Sequence[dict[str, Any]]) -> Case:
 
 
 def probabilities(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Return how far the probabilities told are to be trusted, where any are and nothing was withheld."""
-    told = [row for row in rows if row["hypotheses"] and row["set"] != WITHHELD]
+    """Return how far the probabilities told are to be trusted; not of withheld truths, nor of two-track cars."""
+    told = [row for row in rows if row["hypotheses"] and row["set"] not in (WITHHELD, "structure")]
     if not told:
         return {}
     sets = [[Hypothesis(tuple(each["names"]), each["probability"]) for each in row["hypotheses"]] for row in told]
@@ -124,7 +124,7 @@ def outcome(case: str, key: dict[str, Any], verdict: dict[str, Any], seconds: fl
         "verdict": verdict["verdict"],
         "found": found,
         "rivals": verdict["ambiguous_with"],
-        "hypotheses": verdict["hypotheses"],
+        "hypotheses": verdict.get("hypotheses", []),
         "separable": set(truth) <= set(verdict.get("separable", ())),  # declared before anything is named
         "explained": verdict["gap"]["explained"] if verdict["gap"] else None,
         "errors": {name: abs(p["value"] / value - 1.0) for name, p, value in _shared(key, verdict) if value},

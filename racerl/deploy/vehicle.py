@@ -4,18 +4,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
-
-from racerl.documents import write_text
+from racerl.documents import write_yaml
 from racerl.run import RunFolder
-from racerl.vehicle.forms import LOADED, gym_form, pacejka_form
+from racerl.vehicle.forms import gym_form, lacking, pacejka_form
 from racerl.vehicle.load import load_vehicle
 
 GYM, PACEJKA = "f1tenth_gym.yaml", "pacejka.yaml"
 
 
 def export_vehicle(settings: Mapping[str, Any], out: Path) -> dict[str, Any]:
-    """Write the vehicle file `settings["run"]` into `out` in either form; return them, and the effects they lack.
+    """Write the vehicle file `settings["run"]` into `out` in either form; return them, and what they lack.
 
     Raises VehicleError where the file is no vehicle.
     """
@@ -24,6 +22,6 @@ def export_vehicle(settings: Mapping[str, Any], out: Path) -> dict[str, Any]:
     forms = {GYM: gym_form(vehicle), PACEJKA: pacejka_form(vehicle, file.stem)}
     folder = RunFolder.start(out, "export", settings)
     for name, form in forms.items():
-        write_text(folder.path / name, yaml.safe_dump(form, sort_keys=False))
+        write_yaml(folder.path / name, form)
     folder.finish()
-    return {"forms": forms, "lacking": [name for name in vehicle.effects if name != LOADED]}
+    return {"forms": forms, "lacking": lacking(vehicle)}

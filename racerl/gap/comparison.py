@@ -11,7 +11,7 @@ from racerl.gap.cross_validation import held_out
 from racerl.gap.fitted_model import FittedModel, touched
 from racerl.gap.folds import blocks
 from racerl.gap.investigation import Investigation
-from racerl.gap.score import Score
+from racerl.gap.score import FELT, REMAINDER, Score
 
 Array = NDArray[np.float64]
 Loss = Callable[[str, Array], Array]
@@ -29,8 +29,6 @@ WORTH = 0.04  # share of the first excess, and of what is left of it before the 
 # excess over the noise's cost that clean cars of other formulas leave of the refit: up to 1 % of seven on Burckhardt,
 # TMsimple and other slips, 5 and 9 % of two on Dugoff tyres
 FOREIGN = 0.1
-REMAINDER = 0.03  # of the noise's cost, that an effect must take of what a foreign tyre leaves
-FELT = 0.01  # of the noise's cost, that an effect must take: nobody misses less, however sure it is
 REAL = 0.05  # excess cost over the noise's that is real: the noise itself is known to a few percent
 WORSE = 1.05  # times the error before, beyond which it has grown
 TYRES = "chassis"  # the stage that has tyres

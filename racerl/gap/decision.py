@@ -32,7 +32,7 @@ class Decision(Standing):
     rounds: list[list[CandidateScore]] = field(default_factory=list)
     features: list[dict[str, Any]] = field(default_factory=list)  # of every round
     excess: list[float] = field(default_factory=list)  # of the cost over the noise, before each round and at the end
-    doubted: str = ""  # what held-out windows ask for beside the effects, though it is rather of no catalogue
+    doubted: str = ""  # what held-out windows ask for beside these effects, though it is rather of no catalogue
 
     @property
     def chosen(self) -> list[str]:
@@ -48,7 +48,7 @@ def changed(
     passed = noise_cost(investigation, found, investigation.seed)
     noise = {stage: min(most, passed.get(stage, most)) for stage, most in investigation.floor.items()}
     left = [*decision.excess, excess(investigation, cost, noise)]
-    return replace(decision, kept=kept, found=found, cost=cost, noise=noise, excess=left)
+    return replace(decision, kept=kept, found=found, cost=cost, noise=noise, excess=left, doubted="")
 
 
 def carried(data: FitData, found: FittedModel) -> FittedModel:

@@ -15,7 +15,9 @@ from racerl.gap.stage import SHIFTS
 from racerl.gap.stage_problem import StageProblem
 from racerl.vehicle.vehicle import STATE
 
-SHOWS = 30.0  # first-order gain, a χ², at its usual size that makes an effect show
+SHOWS = 30.0  # first-order gain, a χ², that is no chance
+FELT = 0.01  # of the noise's cost, that an effect must take: nobody misses less, however sure it is
+REMAINDER = 0.03  # the same, of what a tyre of another formula leaves
 ONE = 0.9995  # |cosine| above which two effects are one in this log, for want of a stage that tells
 
 Array = NDArray[np.float64]
@@ -28,6 +30,7 @@ class Score:
     names: list[str]
     H: Array
     g: Array
+    least: Array | None = None  # gains (E,) below which nobody would miss an effect
 
     def gains(self) -> dict[str, float]:
         """Return by how much the cost would fall with each effect alone, at its best size of either sign."""
@@ -41,12 +44,15 @@ class Score:
         return cosine
 
     def hidden(self) -> tuple[str, ...]:
-        """Return the effects that would not show at their usual size."""
-        return tuple(name for name, gain in zip(self.names, np.diag(self.H), strict=True) if gain < SHOWS)
+        """Return the effects that would not show at their usual size: lost in chance, or too small to be missed."""
+        least = np.full(len(self.names), SHOWS) if self.least is None else np.maximum(self.least, SHOWS)
+        return tuple(name for name, low in zip(self.names, np.diag(self.H) < least, strict=True) if low)
 
     def one(self, name: str, other: str) -> bool:
         """Return whether two effects that show are one in this log."""
-        if name == other or not {name, other} <= set(self.names) - set(self.hidden()):
+        if name == other or not {name, other} <= set(self.names):
+            return False
+        if any(self.H[i, i] < SHOWS for i in map(self.names.index, (name, other))):
             return False
         return bool(abs(self.cosines()[self.names.index(name), self.names.index(other)]) > ONE)
 
@@ -100,12 +106,13 @@ def summed(scores: Iterable[Score]) -> Score:
 
 def _merged(one: Score, other: Score) -> Score:
     names = [*one.names, *(name for name in other.names if name not in one.names)]
-    H, g = np.zeros((len(names), len(names))), np.zeros(len(names))
+    H, g, least = np.zeros((len(names), len(names))), np.zeros(len(names)), np.zeros(len(names))
     for part in (one, other):
         place = [names.index(name) for name in part.names]
         H[np.ix_(place, place)] += part.H
         g[place] += part.g
-    return Score(names, H, g)
+        least[place] += 0.0 if part.least is None else part.least
+    return Score(names, H, g, least)
 
 
 def _direction(problem: StageProblem, kernel: Sequence[str], name: str, columns: Mapping[str, str]) -> Array:

@@ -75,7 +75,7 @@ def judge(investigation: Investigation, decision: Decision) -> Verdict:
         return Verdict("unknown", effects, (), blind, f"{listed(effects)} {explain} nothing of the excess")
     share = 1.0 - rest / had
     if decision.doubted:
-        more = f"more is missing, like {decision.doubted}, but not it"
+        more = f"more is missing, like {decision.doubted}, but probably not it"
         reason = f"{listed(effects)} {explain} {share:.0%} of the excess; {more}"
         return Verdict("unknown", effects, (), blind, reason)
     foreign = investigation.shaped and rest < FOREIGN * sum(decision.noise[stage] for stage in moved)

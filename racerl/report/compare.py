@@ -1,12 +1,12 @@
 """Two drivers side by side: Table I and the counterpart of the paper's Fig. 6, on one self-contained page."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from racerl.errors import ConfigError, RunError
 from racerl.paper import LAPS
-from racerl.report.driver import ALLOWED, Driver, same
+from racerl.report.driver import ALLOWED, Driver, listed, same
 from racerl.report.figures import duel
 from racerl.report.flying_lap import FlyingLap
 from racerl.report.page import figure, write_page
@@ -27,7 +27,7 @@ def compare(settings: Mapping[str, Any], out: Path, outputs: Path = Path("output
 
     Raises ConfigError or RunError, one line, for what cannot be compared.
     """
-    words = [str(word) for word in _listed(settings["drivers"])]
+    words = listed(settings["drivers"])
     if len(words) != 2:
         raise ConfigError(f"drivers: {len(words)} given, two are compared ({ALLOWED}): racerl report compare A B")
     a, b = (Driver.find(word, outputs, f"{letter}: {{}}") for letter, word in zip("AB", words, strict=True))
@@ -60,7 +60,3 @@ def headline(a: FlyingLap, b: FlyingLap) -> str:
     if second[1] - first[1] < 0.0005:
         return f"A and B are equally fast: {first[1]:.3f} s"
     return f"{first[0]} is {second[1] - first[1]:.3f} s faster than {second[0]}: {first[1]:.3f} s to {second[1]:.3f} s"
-
-
-def _listed(words: str | Sequence[Any]) -> Sequence[Any]:
-    return [words] if isinstance(words, str) else words

@@ -3,13 +3,14 @@
 import io
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from racerl.data.log import Log
 from racerl.documents import conf_folder
-from racerl.errors import RunError
+from racerl.errors import ConfigError, RunError
 from racerl.evaluate.laps import rows, score
 from racerl.evaluate.outcome import track_table
 from racerl.evaluate.recorded import follow
@@ -42,6 +43,14 @@ class Driver:
         if lap is None:
             raise RunError(f"{word}: finished no lap; race it for more laps=…, or train it for longer")
         return cls(subject, lap, evaluation.track)
+
+
+def listed(words: Any) -> list[str]:
+    """Return the drivers of a setting, which may be one or a list; raise ConfigError for anything else."""
+    rows = [words] if isinstance(words, str) else words
+    if not isinstance(rows, list) or not all(isinstance(each, str) for each in rows):
+        raise ConfigError(f"drivers = {words}: a list is expected; allowed are {ALLOWED}")
+    return rows
 
 
 def _of_run(word: str, outputs: Path) -> Subject:

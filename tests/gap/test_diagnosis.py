@@ -23,8 +23,8 @@ from racerl.gap.growth import growth, places
 from racerl.gap.locate import BINS, _test
 from racerl.gap.plan import plan, telling
 from racerl.gap.prove import explained
-from racerl.gap.score import Score
-from racerl.gap.screening import Screened, hopeful
+from racerl.gap.score import Score, summed
+from racerl.gap.screening import Screened, hopeful, scores
 from racerl.gap.stage import stages
 from racerl.gap.uncertainty import EXACT, FORM, intervals
 from racerl.gap.verdict import Verdict, judge, open_stage, proved, separable
@@ -34,7 +34,7 @@ from racerl.vehicle import catalogue
 from racerl.vehicle.cars import read_cars
 from racerl.vehicle.load import load_vehicle
 from racerl.vehicle.ops import TORCH
-from tests.gap.conftest import drive, settings_for
+from tests.gap.conftest import drive, investigate, settings_for
 from tests.vehicle.conftest import make_car
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler on this machine")
@@ -373,6 +373,27 @@ def test_the_least_cost_of_noise_is_the_noise(monkeypatch):
     for passed, least in ((7.0, 7.0), (11.0, 9.0)):
         decision = changed(investigation, Decision(None, {}, {}, None, {}, None), {}, {"chassis": passed})
         assert decision.noise == {"drive": 5.0, "chassis": least}
+    doubting = Decision(None, {}, {}, None, {}, None, doubted="roll_dynamics")
+    assert changed(investigation, doubting, {}, {"chassis": 7.0}).doubted == ""  # it was beside other effects
+
+
+def test_what_nobody_would_miss_would_not_show():
+    names, H = ["yaw_damping", "aero_drag", "roll_dynamics"], np.diag([900.0, 900.0, 10.0])
+    chassis = Score(names, H, np.zeros(3), np.array([800.0, 1000.0, 0.0]))
+    assert Score(names, H, np.zeros(3)).hidden() == ("roll_dynamics",)  # less than chance may give
+    assert chassis.hidden() == ("aero_drag", "roll_dynamics")
+    drive = Score(["aero_drag"], np.array([[300.0]]), np.zeros(1), np.array([100.0]))
+    assert summed([chassis, drive]).hidden() == ("roll_dynamics",)  # 1200 of 1100 over both stages
+    twins = Score(names[:2], np.full((2, 2), 900.0), np.zeros(2), np.full(2, 1000.0))
+    assert twins.hidden() == tuple(names[:2]) and twins.one(*names[:2])
+
+
+def test_an_effect_shows_from_the_share_of_the_noise_that_a_name_must_take(damped):
+    investigation = investigate(damped, "yaw_damping", "roll_dynamics")
+    found = scores(investigation, investigation.base)["chassis"]
+    noise, power = investigation.floor["chassis"], dict(zip(found.names, np.diag(found.H), strict=True))
+    assert 30.0 < power["roll_dynamics"] < 0.01 * noise < power["yaw_damping"]  # a softer tyre is nearly it
+    assert found.hidden() == ("roll_dynamics",)
 
 
 def test_the_share_explained_stays_inside_its_bounds():

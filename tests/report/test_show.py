@@ -16,11 +16,14 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from racerl.config import run_command
+from racerl.documents import read_json, write_json
 from racerl.errors import RacerlError
+from racerl.paper import human_lap
 from racerl.report.driver import Driver
-from racerl.report.figures.replay import RATES, _place, heading, side_slip
+from racerl.report.figures.replay import RATES, _columns, _place, heading, side_slip
 from racerl.report.flying_lap import FlyingLap
 from racerl.report.show import show
+from tests.report.test_compare import TRACK, raced
 
 # what the page's script needs of a browser; three frames, half a lap apart, then what stands in the table
 BROWSER = """
@@ -41,7 +44,7 @@ globalThis.requestAnimationFrame = f => { frame = f; };
 """
 FRAMES = """
 frame(0); frame(1000 * data.laps[0].time / 2); const half = rows.map(r => r.map(c => c.textContent));
-frame(1000 * data.laps[0].time * 0.999);
+frame(1000 * end);
 console.log(JSON.stringify({half, end: rows.map(r => r.map(c => c.textContent)), clock: made.clock.textContent}));
 """
 
@@ -63,6 +66,10 @@ def test_the_page_has_both_laps_from_the_line_on(data):
     assert [lap["driver"] for lap in data["laps"]] == [rl.driver, human.driver]
     for own, lap in zip(data["laps"], (rl, human), strict=True):
         assert own["time"] == lap.time_s and own["slip"] is None  # the paper does not show it
+        assert own["t"][-1] == pytest.approx(lap.time_s, abs=1e-4) and own["s"][-1] == pytest.approx(
+            lap.length, abs=1e-4
+        )
+        assert (np.diff(own["t"]) > 0.0).all() and {len(own[name]) for name in "tsxyv"} == {len(own["yaw"])}
         assert np.interp(0.0, own["s"], own["t"]) == pytest.approx(0.0, abs=1e-3)
         step = np.hypot(np.diff(own["x"]), np.diff(own["y"]))
         ahead = np.cos(own["yaw"][:-1]) * np.diff(own["x"]) + np.sin(own["yaw"][:-1]) * np.diff(own["y"])
@@ -87,9 +94,8 @@ def test_the_pages_script_plays(shown, data, tmp_path):
     told = json.loads(done.stdout)
     assert told["half"][0][2:] == ["–", ""] and 1.0 < float(told["half"][0][1]) < 6.0
     rl, human = data["laps"]
-    place = np.interp(0.999 * rl["time"], human["t"], human["s"])
-    behind = 0.999 * rl["time"] - np.interp(place, rl["s"], rl["t"])
-    assert told["end"][1][3] == f"+{behind:.3f}" and told["clock"] == f"{0.999 * rl['time']:.2f} s"
+    assert told["end"][1][3] == f"+{human['time'] - rl['time']:.3f}" and told["clock"] == f"{human['time']:.2f} s"
+    assert told["end"][0][3] == ""  # nobody is behind himself
 
 
 def straight(**more):
@@ -110,7 +116,7 @@ def test_a_sliding_car_points_into_the_turn():
     axis = Figure().add_subplot()
     (car,), trail = axis.fill([], []), axis.add_collection(LineCollection([]))
     for t, place in ((1.0, np.sqrt(2.0)), (9.0, 2.0 * np.sqrt(2.0))):  # it stays at the end of its lap
-        _place(lap, t, trail, car)
+        _place(_columns(lap), t, trail, car)
         nose = car.get_xy()[0] - place
         assert np.arctan2(nose[1], nose[0]) == pytest.approx(np.pi / 4 + 0.5) and np.hypot(*nose) == pytest.approx(0.25)
         assert np.allclose(trail.get_segments()[-1][1], place)
@@ -124,13 +130,28 @@ def test_a_sliding_car_points_into_the_turn():
         (["paper:rl"] * 7, "7 given"),
         (["paper:rl", "file=laps.avi"], "a name that ends with .gif or .mp4"),
         (["paper:rl", "file=../laps.gif"], "a name that ends with .gif or .mp4"),
-        (["paper:nobody"], "paper:nobody"),
+        (["paper:nobody"], "unknown driver 'paper:nobody'"),
+        (["drivers=null"], "drivers = None: a list is expected"),
     ],
 )
 def test_what_cannot_be_shown_is_said_before_anything_is_written(tmp_path, words, said):
     with pytest.raises(RacerlError, match=said):
         run_command("show", [*words, f"out={tmp_path / 'out'}"], lambda s, out: show(s, out), "drivers")
     assert not (tmp_path / "out").exists()
+
+
+def test_drivers_of_one_title_and_strange_names_are_told_apart(tmp_path):
+    runs = [raced(tmp_path / name, human_lap()) for name in ("one", "two")]
+    for run in map(Path, runs):
+        write_json(run / "metrics.json", {**read_json(run / "metrics.json"), "label": "$1 </script> $2"})
+    page = show({"drivers": runs, "file": "laps.gif"}, tmp_path / "out").read_text()
+    data = json.loads(re.search(r"const data = (.*);\n", page)[1])
+    assert [lap["driver"].split(":")[0] for lap in data["laps"]] == ["one", "two"]
+    assert "$1 </script> $2" in data["laps"][0]["driver"] and page.count("</script>") == 1
+    assert show({"drivers": runs[0], "file": "laps.gif"}, tmp_path / "alone").is_file()
+    wide = raced(tmp_path / "wide", human_lap(), replace(TRACK, x=TRACK.x + 1.0))
+    with pytest.raises(RacerlError, match="were driven on different tracks"):
+        show({"drivers": [runs[0], wide], "file": "laps.gif"}, tmp_path / "both")
 
 
 def test_a_film_needs_ffmpeg(monkeypatch, tmp_path):

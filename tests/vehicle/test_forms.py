@@ -12,7 +12,7 @@ from racerl.cli import app
 from racerl.deploy.vehicle import GYM, PACEJKA, export_vehicle
 from racerl.documents import read_yaml
 from racerl.errors import VehicleError
-from racerl.vehicle.forms import gym_form, pacejka_form
+from racerl.vehicle.forms import gym_form, lacking, pacejka_form
 from racerl.vehicle.load import load_vehicle
 from racerl.vehicle.ops import TORCH
 from tests.conftest import CONF
@@ -63,7 +63,7 @@ def test_side_forces_are_the_same_in_the_other_formula(name):
     for tyre, key, load in zip((vehicle.front, vehicle.rear), ("C_Pf", "C_Pr"), static_loads(vehicle), strict=True):
         for slip in SLIDES:
             ours = side(tyre, slip, load, vehicle.friction)
-            assert ours == pytest.approx(pacejka(form[key], form["mu"], load, slip), abs=0.02 * load)
+            assert ours == pytest.approx(pacejka(form[key], form["mu"], load, slip), abs=1e-9)
     assert form["l_f"] + form["l_r"] == pytest.approx(form["l_wb"]) and form["m"] == vehicle.mass
 
 
@@ -86,7 +86,8 @@ def test_a_vehicle_goes_out_and_comes_back(tmp_path, caplog):
     assert told["lacking"] == ["yaw_damping"]
     with caplog.at_level(logging.WARNING):
         back = load_vehicle({"file": str(tmp_path / "out" / PACEJKA)})
-    assert "those of vehicle=published" in caplog.text
+        load_vehicle({"file": str(tmp_path / "out" / PACEJKA)})
+    assert caplog.text.count("are of vehicle=published") == 1
     assert set(back.effects) == {"longitudinal_load_transfer"}
     for name in ("mass", "yaw_inertia", "wheelbase", "l_f", "friction"):
         assert getattr(back, name) == pytest.approx(getattr(vehicle, name))
@@ -97,6 +98,9 @@ def test_a_vehicle_goes_out_and_comes_back(tmp_path, caplog):
     gym = load_vehicle({"file": str(tmp_path / "out" / GYM)})
     again = gym_form(gym)
     assert again == pytest.approx(gym_form(vehicle)) and gym.front.p_Dy1 == 1.0
+    for other in (back, gym):  # lengthways the grip stays the published car's, whatever mu is
+        pulls = [float(each.rear.p_Dx1) * float(each.friction) for each in (vehicle, other)]
+        assert pulls[0] == pytest.approx(pulls[1])
 
 
 def test_a_file_of_the_race_stack_is_a_vehicle(tmp_path):
@@ -118,14 +122,26 @@ def test_a_file_of_the_race_stack_is_a_vehicle(tmp_path):
         ("C_Pf: [4.8, 2.16, 0.65, 0.373]", "four numbers B, C, D, E"),
         ("m: 3.54", "m = 'heavy': a number is expected"),
         ("C_Pr: [20.0, 1.5, 0.618, 0.0]", "p_Ey1 = 1.3"),
+        ("l_r: 0.145", "l_r = 0: more than 0"),
+        ("mu: 0.9", "mu = -1: more than 0"),
+        ("h_cg: 0.014", "height = -0.1"),
     ],
 )
 def test_what_is_wrong_in_such_a_file_is_said_in_one_line(tmp_path, change, said):
     wrong = {"lacks mu": "", "four numbers B, C, D, E": "C_Pf: [4.8]", "m = 'heavy': a number is expected": "m: heavy"}
+    wrong |= {"l_r = 0: more than 0": "l_r: 0", "mu = -1: more than 0": "mu: -1", "height = -0.1": "h_cg: -0.1"}
     file = tmp_path / "car.yaml"
     file.write_text(NUC2.replace(change, wrong.get(said, "C_Pr: [20.0, 1.5, 0.618, 1.3]")))
     with pytest.raises(VehicleError, match=said.replace("(", r"\(")):
         load_vehicle({"file": str(file)})
+
+
+def test_what_the_other_forms_lack_is_told():
+    tyre = read_yaml(CONF / "vehicle" / "published.yaml")["front"]
+    assert lacking(car()) == []
+    assert lacking(car(front={**tyre, "p_Hy1": 0.05})) == ["front.p_Hy1"]
+    with pytest.raises(VehicleError, match="no peak at the car's own load of 26 N"):
+        gym_form(car(front={**tyre, "F_z0": 60.0, "p_Dy1": 0.5, "p_Dy2": 1.0}))
 
 
 def test_the_command_says_what_the_other_forms_lack(tmp_path):

@@ -1,5 +1,6 @@
 """Laps as a moving picture: cars on the track, behind each its last second and a half, coloured by side slip."""
 
+import subprocess
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,7 +16,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from racerl.errors import ConfigError
+from racerl.errors import ConfigError, RunError
 from racerl.report.figures.style import INK, PAPER, colour, style
 from racerl.report.flying_lap import FlyingLap
 
@@ -25,6 +26,8 @@ TRAIL = 1.5  # s
 SLIDES = 40.0  # degrees of side slip, where the colours end
 RATES = {".gif": 12.5, ".mp4": 30.0}  # pictures a second; a GIF's stand for whole hundredths of a second
 SIZE, DOTS = 8.0, 80  # in, at most, and dots per inch
+SHADES = mpl.colormaps["viridis"].with_extremes(bad=PAPER)  # of side slip; where it was not recorded
+MOST = 300  # pictures: a long lap has fewer a second
 CORNERS = np.array([(0.5, 0.0), (0.3, 0.5), (-0.5, 0.5), (-0.5, -0.5), (0.3, -0.5)])  # of a car, in its size
 
 
@@ -46,8 +49,7 @@ def draw(laps: Sequence[FlyingLap], track: pd.DataFrame, moving: AbstractMovieWr
         figure = _stage(track)
         axis = figure.axes[0]
         scale = Normalize(0.0, SLIDES)
-        shades = mpl.colormaps["viridis"].with_extremes(bad=PAPER)
-        trails = [LineCollection([], cmap=shades, norm=scale, linewidths=2.0) for _ in laps]
+        trails = [LineCollection([], cmap=SHADES, norm=scale, linewidths=2.0) for _ in laps]
         for trail in trails:
             axis.add_collection(trail)
         cars = [axis.fill([], [], facecolor=colour(i), edgecolor=INK, lw=0.8, zorder=3)[0] for i in range(len(laps))]
@@ -57,14 +59,19 @@ def draw(laps: Sequence[FlyingLap], track: pd.DataFrame, moving: AbstractMovieWr
         figure.draw_without_rendering()  # lays out, once for all pictures
         figure.set_layout_engine("none")
         end = max(lap.time_s for lap in laps)
+        moving.fps = min(moving.fps, max(1, int(MOST / end)))
+        drives = [_columns(lap) for lap in laps]
         with tempfile.TemporaryDirectory(prefix="racerl-show-") as folder:
             path = Path(folder) / f"laps{'.gif' if isinstance(moving, PillowWriter) else '.mp4'}"
-            with moving.saving(figure, str(path), DOTS):
-                for t in np.arange(0.0, end, 1.0 / moving.fps):
-                    for lap, trail, car in zip(laps, trails, cars, strict=True):
-                        _place(lap, float(t), trail, car)
-                    clock.set_text(f"{t:.2f} s")
-                    moving.grab_frame()
+            try:
+                with moving.saving(figure, str(path), DOTS):
+                    for t in np.arange(0.0, end, 1.0 / moving.fps):
+                        for lap, drive, trail, car in zip(laps, drives, trails, cars, strict=True):
+                            _place(drive, min(float(t), lap.time_s), trail, car)
+                        clock.set_text(f"{t:.2f} s")
+                        moving.grab_frame()
+            except (OSError, subprocess.CalledProcessError) as error:
+                raise RunError(f"{path.name}: could not be written ({error}); choose file=laps.gif") from error
             return path.read_bytes()
 
 
@@ -99,15 +106,18 @@ def _stage(track: pd.DataFrame) -> Figure:
     return figure
 
 
-def _place(lap: FlyingLap, t: float, trail: LineCollection, car: Any) -> None:
-    """Move a car and what it leaves behind to a time in s since the line; it stays at the end of its lap."""
+def _columns(lap: FlyingLap) -> Array:
+    """Return t, x, y, side slip without its sign, and heading of a lap, (5, T)."""
     samples = lap.samples
-    t = min(t, lap.time_s, float(samples["t"].iloc[-1]))
-    times = np.linspace(max(t - TRAIL, float(samples["t"].iloc[0])), t, 40)
-    x, y, slip, yaw = (
-        np.interp(times, samples["t"], np.asarray(column))
-        for column in (samples["x"], samples["y"], np.abs(side_slip(lap)), heading(lap))
-    )
+    columns = (samples["t"], samples["x"], samples["y"], np.abs(side_slip(lap)), heading(lap))
+    return np.stack([np.asarray(column, float) for column in columns])
+
+
+def _place(drive: Array, t: float, trail: LineCollection, car: Any) -> None:
+    """Move a car and what it leaves behind to a time in s since the line."""
+    t = min(t, drive[0, -1])
+    times = np.linspace(max(t - TRAIL, drive[0, 0]), t, 40)
+    x, y, slip, yaw = (np.interp(times, drive[0], column) for column in drive[1:])
     points = np.stack([x, y], axis=1)
     trail.set_segments(list(np.stack([points[:-1], points[1:]], axis=1)))
     trail.set_array(slip[1:])

@@ -35,6 +35,7 @@ INK = "#000000"
 WARNING = "#b0232f"  # crashes and other mishaps alone
 SETTINGS: dict[Any, Any] = {
     "svg.hashsalt": "racerl",
+    "text.parse_math": False,  # a dollar in a file's name is one
     "svg.fonttype": "none",  # text stays text
     "font.sans-serif": ["DejaVu Sans", "Verdana", "Arial"],  # the first is laid out with, the others are as wide
     "font.size": 10,
