@@ -22,8 +22,10 @@ from racerl.gap.diagnose import NAME, VERDICT, gap
 from racerl.gap.hypotheses import Hypothesis
 from racerl.run import MANIFEST, is_complete
 from racerl.vehicle.catalogue import confused_with, names
+from racerl.vehicle.load import load_vehicle
 
 NAMED = ("named", "multiple")
+ALONG = {("lever_arm", "forward"), ("cog_longitudinal_offset", "offset")}  # places, from the centre of gravity
 WITHHELD = "withheld"  # the set of cases whose truth the catalogue lacks
 
 
@@ -56,7 +58,9 @@ class Gap:
             if self.withhold:
                 key, out = {**key, "set": WITHHELD}, out.with_name(f"{out.name}_{WITHHELD}")
                 words.append(f"without={[effect['name'] for effect in key['effects']]}")
-            rows.append(outcome(log.stem, key, *_diagnosis(compose("gap", words), out)))
+            settings = compose("gap", words)
+            placed = _from_the_configured_centre(key, float(load_vehicle(settings["vehicle"]).l_f))
+            rows.append(outcome(log.stem, placed, *_diagnosis(settings, out)))
             if self.calibration and (out / NAME).is_file():
                 cases.append(_case(rows[-1]["truth"], read_json(out / NAME)["rounds"]))
                 groups.append(f"{key.get('tyre')}, {key.get('slip')}")
@@ -94,6 +98,27 @@ def calibration(cases: Sequence[Case], groups: Sequence[str]) -> dict[str, Any]:
         "cases": dict(sorted(Counter(groups).items())),
         "weights": calibrate(cases).weights(),
         "left_out_groups": checked(cases, groups)._asdict(),
+    }
+
+
+def _from_the_configured_centre(key: dict[str, Any], l_f: float) -> dict[str, Any]:
+    """Return a key whose places along the car are told from where the configured vehicle has its centre of gravity.
+
+    The plant tells them from the hidden car's own, which is elsewhere between the axles.
+    """
+    ahead = l_f - key.get("car", {}).get("l_f", l_f)
+    return {
+        **key,
+        "effects": [
+            {
+                **effect,
+                "parameters": {
+                    name: value + ahead * ((effect["name"], name) in ALONG)
+                    for name, value in effect["parameters"].items()
+                },
+            }
+            for effect in key["effects"]
+        ],
     }
 
 

@@ -12,12 +12,14 @@ from racerl.gap.fitted_model import COG, FittedModel
 from racerl.gap.folds import blocks
 from racerl.gap.investigation import Investigation
 from racerl.identify.uncertainty import normal
+from racerl.vehicle.parameter import specifications
 from racerl.vehicle.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 FAR = 2.0  # prior deviations, beyond which a refitted parameter is a clue in itself
 FORM = 0.05  # deviation, as a share, between the parameters of an effect's forms where it has many (development logs)
 EXACT = 0.01  # the same, where it has one
+TIMING = 0.1  # the same of a dead time, in samples: when within one a command acts is every logger's own affair
 
 
 def deviations(investigation: Investigation, found: FittedModel) -> dict[str, float]:
@@ -46,7 +48,8 @@ def possible_cars(investigation: Investigation, found: FittedModel, seed: int) -
     names, covariance = found.problem.names, _covariance(investigation, found)
     mean = np.array([found.theta[name] for name in names])
     sure = deviations(investigation, found)
-    variance = [sure[name] ** 2 + _form(found.vehicle, name, found.theta[name]) ** 2 for name in names]
+    dt = _sample(investigation)
+    variance = [sure[name] ** 2 + _form(found.vehicle, name, found.theta[name], dt) ** 2 for name in names]
     wider = np.maximum(variance - np.diag(covariance), 0.0)  # by the form of an effect, and where the car was weighed
     return mean + normal(covariance + np.diag(wider), np.random.default_rng(seed))
 
@@ -57,18 +60,22 @@ def intervals(investigation: Investigation, found: FittedModel) -> dict[str, tup
     An effect's parameters are known no better than its form is: the car's effect may have another.
     """
     bounds = {unknown.name: (unknown.low, unknown.high) for unknown in found.problem.unknowns}
-    ranges = {}
+    ranges, dt = {}, _sample(investigation)
     for name, deviation in deviations(investigation, found).items():
         value, (low, high) = found.theta[name], bounds[name]
-        half = 1.96 * math.hypot(deviation, _form(found.vehicle, name, value))
+        half = 1.96 * math.hypot(deviation, _form(found.vehicle, name, value, dt))
         ranges[name] = value, max(value - half, low), min(value + half, high)
     return ranges
 
 
-def _form(vehicle: Vehicle, parameter: str, value: float) -> float:
+def _sample(investigation: Investigation) -> float:
+    return max(evidence.dt for evidence in investigation.evidence.values())
+
+
+def _form(vehicle: Vehicle, parameter: str, value: float, dt: float) -> float:
     """Return the deviation between a parameter of an effect's likely forms, by its distance from no effect.
 
-    That of a place is in the effect's own length.
+    That of a place is in the effect's own length, that of a dead time in samples of `dt` seconds.
     """
     name, _, key = parameter.removeprefix("effects.").rpartition(".")
     effect = vehicle.effects.get(name)
@@ -78,7 +85,10 @@ def _form(vehicle: Vehicle, parameter: str, value: float) -> float:
     size = value - zero if key == first else value
     if placed(name) and key in PLACE:
         size = float(getattr(effect, "radius", 0.0))
-    return (EXACT if effect.exact else FORM) * abs(size)
+    if not effect.exact:
+        return FORM * abs(size)
+    delayed = specifications(effect)[key].unit == "s"
+    return math.hypot(EXACT * size, TIMING * dt if delayed else 0.0)
 
 
 def moved(investigation: Investigation) -> list[dict[str, Any]]:

@@ -4,6 +4,7 @@ import pytest
 
 from racerl.bench.gap import (
     _case,
+    _from_the_configured_centre,
     by_verdict,
     calibration,
     confusion,
@@ -108,6 +109,15 @@ def test_where_the_truth_is_withheld_only_what_it_is_confused_with_may_be_said()
     row = found["unknown or what it is confused with, truth withheld"]
     assert (row["count"], row["of"]) == (2, 5)
     assert confusion(right + wrong) == {}
+
+
+def test_places_are_told_from_the_configured_centre_of_gravity():
+    effect = {"name": "lever_arm", "parameters": {"forward": 0.02, "left": 0.01}}
+    key = {"car": {"l_f": 0.16}, "effects": [effect, {"name": "drive_delay", "parameters": {"forward": 0.02}}]}
+    arm, delay = _from_the_configured_centre(key, 0.15)["effects"]  # the hidden car's is 1 cm further back
+    assert arm["parameters"] == {"forward": pytest.approx(0.01), "left": 0.01} and arm["name"] == "lever_arm"
+    assert delay["parameters"] == {"forward": 0.02} and effect["parameters"]["forward"] == 0.02
+    assert _from_the_configured_centre({"effects": [effect]}, 0.15) == {"effects": [effect]}
 
 
 def test_wilson_intervals():

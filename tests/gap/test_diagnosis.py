@@ -26,7 +26,7 @@ from racerl.gap.prove import explained
 from racerl.gap.score import Score, summed
 from racerl.gap.screening import Screened, hopeful, scores
 from racerl.gap.stage import stages
-from racerl.gap.uncertainty import EXACT, FORM, intervals
+from racerl.gap.uncertainty import EXACT, FORM, TIMING, intervals
 from racerl.gap.verdict import Verdict, judge, open_stage, proved, separable
 from racerl.gap.workers import Workers
 from racerl.report.gap_page import draw_gap
@@ -429,6 +429,8 @@ def test_what_shows_and_looks_like_no_other_is_separable():
         ("tyre_heating", {"loss": 0.1, "time": 20.0}, "time", FORM * 20.0),
         ("friction_patch", {"depth": 0.3, "x": 12.0, "radius": 1.5}, "x", FORM * 1.5),  # the world's origin is anywhere
         ("learned_residual", {"about_turn": 0.5}, "about_turn", 0.0),
+        ("steering_delay", {"delay": 0.03}, "delay", np.hypot(EXACT * 0.03, TIMING * 0.02)),  # of the slowest log
+        ("lever_arm", {"forward": 0.1}, "forward", EXACT * 0.1),
     ],
 )
 def test_an_effect_is_known_no_better_than_its_form(name, values, key, deviation, monkeypatch):
@@ -437,7 +439,8 @@ def test_an_effect_is_known_no_better_than_its_form(name, values, key, deviation
     unknowns = [Unknown(parameter, 0.0, 1.0, -100.0, 100.0)]
     found = SimpleNamespace(vehicle=vehicle, theta={parameter: value}, problem=SimpleNamespace(unknowns=unknowns))
     monkeypatch.setattr("racerl.gap.uncertainty.deviations", lambda *_: {parameter: 0.0})
-    _, low, high = intervals(None, found)[parameter]
+    stages = {name: SimpleNamespace(dt=dt) for name, dt in (("steering", 0.01), ("chassis", 0.02))}
+    _, low, high = intervals(SimpleNamespace(evidence=stages), found)[parameter]
     assert 0.5 * (high - low) == pytest.approx(1.96 * deviation) and 0.5 * (low + high) == pytest.approx(value)
 
 
