@@ -90,6 +90,6 @@ def test_a_centreline_comes_out_of_a_map(tmp_path, monkeypatch):
 def test_the_commands_are_functions(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     page = (ROOT / "racerl" / "README.md").read_text(encoding="utf-8")
-    (recipe,) = (block for kind, block in BLOCKS.findall(page) if kind == "python" and "racerl.library" in block)
-    exec(compile(recipe, "library.py", "exec"), {})  # noqa: S102
+    (recipe,) = (block for kind, block in BLOCKS.findall(page) if kind == "python" and "racerl.commands" in block)
+    exec(compile(recipe, "commands.py", "exec"), {})  # noqa: S102
     assert "named Estimate(value=0.149" in capsys.readouterr().out

@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from racerl.estimation.unknowns import Unknown
-from racerl.gap.comparison import PARAMETER, REAL, TYRES, CandidateScore, Judge, excesses
+from racerl.gap.comparison import PARAMETER, REAL, CandidateScore, Judge, excesses
 from racerl.gap.decision import Decision
 from racerl.gap.fit_data import kernels_of
 from racerl.gap.fitted_model import FittedModel, better_half_way, settled_fit, touched, with_effect
 from racerl.gap.investigation import SHAPE, Investigation, investigation_of
 from racerl.gap.nominal import Nominal
+from racerl.gap.stage import TYRES
 from racerl.vehicle.effects.tyre_shape import TyreShape
 from racerl.vehicle.parameter import specifications, values
 from racerl.vehicle.vehicle import Vehicle

@@ -12,6 +12,7 @@ from racerl.gap.fitted_model import FittedModel, touched
 from racerl.gap.folds import blocks
 from racerl.gap.investigation import Investigation
 from racerl.gap.score import FELT, REMAINDER, Score
+from racerl.gap.stage import TYRES
 
 Array = NDArray[np.float64]
 Loss = Callable[[str, Array], Array]
@@ -31,7 +32,6 @@ WORTH = 0.04  # share of the first excess, and of what is left of it before the 
 FOREIGN = 0.1
 REAL = 0.05  # excess cost over the noise's that is real: the noise itself is known to a few percent
 WORSE = 1.05  # times the error before, beyond which it has grown
-TYRES = "chassis"  # the stage that has tyres
 ALL, SMALL = 0.75, 0.01  # shares of what is left, and of the first excess, that are not an earlier effect's wrong form
 LIKE = 0.5  # |cosine| with an effect found before, from which on a small one may mend its form
 

@@ -20,7 +20,7 @@ from racerl.gap.growth import places
 from racerl.gap.investigation import Investigation
 from racerl.gap.normal_equations import usual_cost
 from racerl.gap.score import FELT, REMAINDER, Score, score
-from racerl.gap.stage import CHASSIS
+from racerl.gap.stage import TYRES
 from racerl.gap.stage_problem import StageProblem
 from racerl.vehicle.effects import Effect
 from racerl.vehicle.parameter import replace_values, values
@@ -57,7 +57,7 @@ def scores(investigation: Investigation, base: FittedModel) -> dict[str, Score]:
             evidence, investigation.kernels[name], base.vehicle, unknowns, investigation.sigma[name], whole=True
         )
         part = score(problem, unknowns, base.theta, begun(problem, base.initial, None), base.strength[name])
-        share = REMAINDER if investigation.shaped and name == CHASSIS.name else FELT  # as a candidate is judged
+        share = REMAINDER if investigation.shaped and name == TYRES else FELT  # as a candidate is judged
         found[name] = replace(part, least=np.where(np.diag(part.H) > 0.0, share * investigation.floor[name], 0.0))
     return found
 

@@ -50,6 +50,7 @@ class Stage:
 STEERING = Stage("steering", ("delta_ref", "omega"), ("delta",))
 DRIVE = Stage("drive", ("delta", "omega_ref"), ("omega",))
 CHASSIS = Stage("chassis", ("delta", "omega"), ("x", "y", "yaw", "v_x", "v_y", "yaw_rate"))
+TYRES = CHASSIS.name  # the stage that has tyres
 CHAIN = replace(CHASSIS, name="chain", inputs=("delta_ref", "omega_ref"))
 
 

@@ -11,7 +11,8 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from racerl.report.figures.style import COLOURS, INK, PAPER, WIDTH, style, to_svg
+from racerl.report.figures.edges import draw_edges, draw_line
+from racerl.report.figures.style import COLOURS, PAPER, WIDTH, style, to_svg
 from racerl.report.flying_lap import FlyingLap, delta_time
 
 MARKS = 25  # at most, on a lap
@@ -63,11 +64,8 @@ def draw(
 
 
 def _draw_lines(axis: Axes, a: FlyingLap, b: FlyingLap, track: pd.DataFrame, looks: Sequence[dict[str, Any]]) -> None:
-    for side in ("left", "right"):
-        x, y = track[f"{side}_x_m"], track[f"{side}_y_m"]
-        axis.plot([*x, x.iloc[0]], [*y, y.iloc[0]], color="black", lw=1.0)
-    start = track.iloc[0]
-    axis.plot([start["left_x_m"], start["right_x_m"]], [start["left_y_m"], start["right_y_m"]], color=INK, lw=3.0)
+    draw_edges(axis, track)
+    draw_line(axis, track)
     every = 0.5 * np.ceil(2.0 * max(a.time_s, b.time_s) / MARKS)  # s
     times = every * np.arange(1, MARKS + 1)
     for lap, look in zip((a, b), looks, strict=False):

@@ -8,7 +8,8 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from racerl.paper import figure_6
-from racerl.report.figures.style import INK, PAPER, WIDTH, style, to_svg
+from racerl.report.figures.edges import draw_edges, draw_line
+from racerl.report.figures.style import PAPER, WIDTH, style, to_svg
 from racerl.report.subjects import Evaluation, Subject
 
 MOST = 4  # panels
@@ -39,9 +40,7 @@ def draw(subjects: Sequence[Subject]) -> str | None:
 
 def _panel(axis: Axes, evaluation: Evaluation, limits: tuple[float, float]) -> LineCollection:
     track, lap = evaluation.track, evaluation.fastest_lap(beyond=1)
-    for side in ("left", "right"):
-        x, y = track[f"{side}_x_m"], track[f"{side}_y_m"]
-        axis.plot([*x, x.iloc[0]], [*y, y.iloc[0]], color="black", lw=1.0)
+    draw_edges(axis, track)
     axis.plot(track["x_m"], track["y_m"], color="grey", lw=0.6, ls=(0, (6, 6)), label="centreline")
     if evaluation.metrics.get("track") == "l_shape":
         paper = figure_6("lines")
@@ -52,13 +51,6 @@ def _panel(axis: Axes, evaluation: Evaluation, limits: tuple[float, float]) -> L
     lines.set_array(lap["v_x"].to_numpy()[:-1])
     lines.set_clim(*limits)
     axis.add_collection(lines)
-    start = track.iloc[0]
-    axis.plot(
-        [start["left_x_m"], start["right_x_m"]],
-        [start["left_y_m"], start["right_y_m"]],
-        color=INK,
-        lw=3.0,
-        label="start and finish",
-    )
+    draw_line(axis, track, label="start and finish")
     axis.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
     return lines

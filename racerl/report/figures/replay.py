@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from racerl.errors import ConfigError, RunError
+from racerl.report.figures.edges import draw_edges, draw_line
 from racerl.report.figures.style import INK, PAPER, colour, style
 from racerl.report.flying_lap import FlyingLap
 
@@ -97,11 +98,8 @@ def _stage(track: pd.DataFrame) -> Figure:
     figure = Figure(figsize=(across, min(SIZE, across * tall / wide) + 0.8))
     FigureCanvasAgg(figure)
     axis = figure.add_subplot()
-    for side in ("left", "right"):
-        x, y = track[f"{side}_x_m"], track[f"{side}_y_m"]
-        axis.plot([*x, x.iloc[0]], [*y, y.iloc[0]], color="black", lw=1.0)
-    start = track.iloc[0]
-    axis.plot([start["left_x_m"], start["right_x_m"]], [start["left_y_m"], start["right_y_m"]], color=INK, lw=3.0)
+    draw_edges(axis, track)
+    draw_line(axis, track)
     axis.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
     return figure
 

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from racerl.errors import ConfigError, RunError
-from racerl.gap.hypotheses import Hypothesis
-from racerl.library import (
+from racerl.commands import (
     Diagnosis,
     Laps,
     Optimum,
@@ -23,6 +21,8 @@ from racerl.library import (
     record,
     train,
 )
+from racerl.errors import ConfigError, RunError
+from racerl.gap.hypotheses import Hypothesis
 from racerl.vehicle import catalogue
 from tests.train.short import refinement
 

@@ -1,6 +1,6 @@
 """racerl from Python: what the commands do, as functions; typed results in place of lines on a terminal.
 
-    from racerl.library import evaluate, gap, record, train
+    from racerl.commands import evaluate, gap, record, train
 
     log = record(vehicle="published", seconds=120).log
     found = gap(log, vehicle="published")
@@ -78,7 +78,16 @@ class Recording(Result):
         return self.folder / str(self.facts["log"])
 
 
-class Identification(Result):
+class Reported(Result):
+    """A finished run that has drawn its report."""
+
+    @property
+    def page(self) -> Path:
+        """The report."""
+        return self.folder / "report.html"
+
+
+class Identification(Reported):
     """A vehicle found from logs; `usable` says whether it foretells runs that it was not fitted to."""
 
     @property
@@ -87,11 +96,6 @@ class Identification(Result):
         if not self.facts["fitted"]:
             raise RunError(f"{self.folder}: nothing was fitted there")
         return self.folder / "model.yaml"
-
-    @property
-    def page(self) -> Path:
-        """The report."""
-        return self.folder / "report.html"
 
     @property
     def usable(self) -> bool:
@@ -104,18 +108,13 @@ class Identification(Result):
         return {name: _estimate(row) for name, row in self.facts.get("parameters", {}).items()}
 
 
-class Diagnosis(Result):
+class Diagnosis(Reported):
     """What a car does and its model does not."""
 
     @property
     def model(self) -> Path:
         """The vehicle with what was found, as `vehicle=` takes it."""
         return self.folder / "model.yaml"
-
-    @property
-    def page(self) -> Path:
-        """The report."""
-        return self.folder / "report.html"
 
     @property
     def verdict(self) -> str:
