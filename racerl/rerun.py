@@ -26,7 +26,7 @@ from racerl.identify.identify import identify
 from racerl.optimum.optimum import optimum
 from racerl.record.record import record
 from racerl.run import CONFIG, MANIFEST, Compose, RunFolder, is_complete
-from racerl.sweep.sweep import TRAININGS as TABLE
+from racerl.sweep.elsewhere import TRAININGS as TABLE
 from racerl.sweep.sweep import sweep
 from racerl.train.checkpoint import FILE as TRAINING
 from racerl.train.close import close

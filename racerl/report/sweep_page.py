@@ -20,9 +20,10 @@ from racerl.report.subjects import Evaluation, find_subjects
 from racerl.run import RunFolder
 from racerl.sweep.conclusions import POLICIES, banner, grouped, headline, of
 from racerl.sweep.definition import METRICS, OF_TRAINING, TWIN
+from racerl.sweep.elsewhere import LAPS, LEARNING, STEERING, TRAININGS
 from racerl.sweep.jobs import policies
 from racerl.sweep.statistics import power, told
-from racerl.sweep.sweep import LAPS, LEARNING, RESULTS, STEERING, TRAININGS, of_policy
+from racerl.sweep.sweep import RESULTS, of_policy
 
 CURVE = ["sweep", "arm", "seed", "steps", "reward"]  # columns of a learning curve; a sweep of rivals has none
 CURVES = ("track_representation", "action_space")  # sweeps whose arms the paper's Fig. 4 shows

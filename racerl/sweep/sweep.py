@@ -8,6 +8,7 @@ steps), `trainings.csv`, `steering.csv` (median steering along the track, where 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -18,13 +19,13 @@ from racerl.documents import read_json, write_json, write_text
 from racerl.errors import ConfigError, RunError
 from racerl.run import MANIFEST, Compose, RunFolder
 from racerl.sweep.definition import TWIN, Sweep, read_sweeps
+from racerl.sweep.elsewhere import KEY, LAPS, LEARNING, NOTHING, STEERING, TRAININGS, Elsewhere, Key
 from racerl.sweep.engine import LOGS, Engine, Status, alone
-from racerl.sweep.jobs import Plan, plan, policies
+from racerl.sweep.jobs import Job, Plan, plan, policies
 from racerl.sweep.measures import LAP, arrivals, final_reward, learning, measure, usual_steering
 from racerl.sweep.statistics import Samples, judge, resample
 
-RESULTS, LAPS, LEARNING = "results.json", "laps.csv", "learning.csv"
-TRAININGS, STEERING = "trainings.csv", "steering.csv"
+RESULTS = "results.json"
 POINTS = 200  # of a learning curve
 USUAL_LAPS, TRIAL_LAPS = 20, 2  # flying laps of each start, where none are asked for
 
@@ -46,17 +47,20 @@ def sweep(
     settings = {**settings, "laps": flying_laps(settings, trial), "cars": _cars(sweeps, settings)}
     settings |= {"twins": _twins(sweeps, settings, trial)}
     planned = plan(sweeps, {**settings, "cars": [*settings["cars"], *settings["twins"]]}, out, compose)
+    elsewhere = Elsewhere.read(settings["also"], planned, settings)
+    there = elsewhere.has(planned)
     engine = Engine(settings["engine"], settings["threads"], out)
     decisive = {key: value for key, value in settings.items() if key != "engine"}
     folder = RunFolder.start(out, "sweep", decisive, again=True, threads=settings["threads"])
     with alone(out):
-        failed = {job.name: engine.last_words(job) for job in engine.run(planned.jobs, on_status)}
+        missing = [job for job in planned.jobs if job.name not in there]
+        failed = {job.name: engine.last_words(job) for job in engine.run(missing, on_status)}
         if len(failed) == len(planned.jobs):
             name, words = next(iter(failed.items()))
             raise RunError(f"all {len(failed)} jobs failed, {name}: {words}; what they printed stands in {out / LOGS}")
-        facts = summarise(planned, settings, out, failed)
+        facts = summarise(planned, settings, out, failed, elsewhere)
         if not failed and folder.manifest["status"] != "complete":
-            trained = [job.trained for job in planned.jobs if job.train is not None]
+            trained = [job.trained for job in missing if job.train is not None]
             seconds = sum(read_json(path / MANIFEST)["seconds"] for path in trained)
             folder.finish(jobs=len(planned.jobs), training_seconds=round(seconds, 1))
     return facts
@@ -96,6 +100,9 @@ def check(settings: Mapping[str, Any]) -> None:
         bounds.whole("laps", settings["laps"], 1, 10_000)
     for key in ("seeds", "starts"):
         bounds.wholes(key, settings[key], 0, 2**31 - 1)
+    also = settings["also"]
+    if not isinstance(also, list) or not all(isinstance(folder, str) for folder in also):
+        raise ConfigError(f"also = {also}: a list of sweeps' folders is expected")
     for key in ("cars", "twins"):
         names = settings[key]
         listed = isinstance(names, list) and all(isinstance(name, str) for name in names)
@@ -103,9 +110,16 @@ def check(settings: Mapping[str, Any]) -> None:
             raise ConfigError(f"{key} = {names}: a list of names from conf/car is expected")
 
 
-def summarise(planned: Plan, settings: Mapping[str, Any], out: Path, failed: Mapping[str, str]) -> dict[str, Any]:
+def summarise(
+    planned: Plan,
+    settings: Mapping[str, Any],
+    out: Path,
+    failed: Mapping[str, str],
+    elsewhere: Elsewhere = NOTHING,
+) -> dict[str, Any]:
     """Write what the finished jobs came to; return results.json."""
-    tables = gather(planned, settings["laps"])
+    there = elsewhere.has(planned)
+    tables = gather(planned, settings["laps"], elsewhere.tables)
     for name, table in tables.items():
         if not table.empty:
             write_text(out / name, table.to_csv(index=False, float_format="%.6g"))
@@ -119,43 +133,63 @@ def summarise(planned: Plan, settings: Mapping[str, Any], out: Path, failed: Map
             settings["twins"],
         ),
         "trial_steps": planned.trial_steps,
-        "jobs": {"planned": len(planned.jobs), "done": sum(job.done for job in planned.jobs)},
+        "jobs": {"planned": len(planned.jobs), "done": sum(job.done or job.name in there for job in planned.jobs)},
+        "also": list(elsewhere.origins),
         "failed": dict(failed),
     }
     write_json(out / RESULTS, facts)
     return facts
 
 
-def gather(planned: Plan, laps: int) -> dict[str, pd.DataFrame]:
-    """Return the tables of what the finished jobs measured, by file."""
+def gather(
+    planned: Plan, laps: int, elsewhere: Mapping[Key, Mapping[str, pd.DataFrame]] = MappingProxyType({})
+) -> dict[str, pd.DataFrame]:
+    """Return the tables of what the finished jobs measured, here or in another sweep, by file."""
     turning = {sweep.name for sweep in planned.sweeps if "turn_in" in sweep.metrics}
     measured = {
         job.name: (measure(job, laps), learning(job), {policy: arrivals(job, policy) for policy in job.policies})
         for job in planned.jobs
         if job.done
     }
-    rows: list[dict[str, Any]] = []
-    trainings: list[dict[str, Any]] = []
-    curves, steering = [], []
-    for (sweep, arm, seed), job in planned.of.items():
-        if job.name not in measured:
-            continue
-        driven, curve, arrived = measured[job.name]
-        where = {"sweep": sweep, "arm": arm, "seed": seed}
-        rows += [{**where, **row} for row in driven]
-        learned = {"reward": final_reward(curve), "job": job.path.name}
-        trainings += [{**where, "policy": policy, **learned, **seconds} for policy, seconds in arrived.items()]
-        curves.append(_thinned(curve).assign(**where))
-        if sweep in turning:
-            steering += [
-                usual_steering(job, policy, car).assign(**where, policy=policy, car=car) for policy, car in job.races
-            ]
-    return {
-        LAPS: pd.DataFrame(rows, columns=["sweep", "arm", "seed", *LAP]),
-        TRAININGS: pd.DataFrame(trainings).astype({"reward": float}),  # of what is not trained, none
-        LEARNING: pd.concat(curves),
-        STEERING: pd.concat(steering) if steering else pd.DataFrame(),
+    parts: dict[str, list[pd.DataFrame]] = {LAPS: [], TRAININGS: [], LEARNING: [], STEERING: []}
+    for key, job in planned.of.items():
+        if job.name in measured:
+            found = _of_arm(key, job, *measured[job.name], turning=key[0] in turning)
+        else:
+            found = elsewhere.get(key, {})
+        for name, table in found.items():
+            parts[name].append(table)
+    tables = {name: pd.concat(each, ignore_index=True) if each else pd.DataFrame() for name, each in parts.items()}
+    return tables | {
+        LAPS: tables[LAPS].reindex(columns=[*KEY, *LAP]),
+        TRAININGS: tables[TRAININGS].astype({"reward": float}),  # of what is not trained, none
     }
+
+
+def _of_arm(
+    key: Key,
+    job: Job,
+    driven: Sequence[Mapping[str, Any]],
+    curve: pd.DataFrame,
+    arrived: Mapping[str, Mapping[str, float]],
+    *,
+    turning: bool,
+) -> dict[str, pd.DataFrame]:
+    """Return what a job measured as the tables of one of its arms."""
+    where = dict(zip(KEY, key, strict=True))
+    learned = {"reward": final_reward(curve), "job": job.path.name}
+    trainings = [{**where, "policy": policy, **learned, **seconds} for policy, seconds in arrived.items()]
+    found = {
+        LAPS: pd.DataFrame([{**where, **row} for row in driven]),
+        TRAININGS: pd.DataFrame(trainings),
+        LEARNING: _thinned(curve).assign(**where),
+    }
+    if turning:
+        steering = [
+            usual_steering(job, policy, car).assign(**where, policy=policy, car=car) for policy, car in job.races
+        ]
+        found[STEERING] = pd.concat(steering)
+    return found
 
 
 def results(

@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+import shutil
 
 import numpy as np
 import pandas as pd
@@ -9,14 +10,16 @@ import pytest
 
 from racerl.assemble import build_track
 from racerl.config import compose_settings
+from racerl.errors import RacerlError
 from racerl.report.sweep_page import draw_sweep
 from racerl.run import RunFolder
 from racerl.sweep import sweep as sweeping
 from racerl.sweep import work as stage
 from racerl.sweep.definition import METRICS, Comparison, read_sweeps
+from racerl.sweep.elsewhere import LAPS, TRAININGS, Elsewhere
 from racerl.sweep.jobs import UNTRAINED, Race, plan
 from racerl.sweep.statistics import MEASURES, contrast, resample
-from racerl.sweep.sweep import LAPS, TRAININGS, gather, results, summarise
+from racerl.sweep.sweep import gather, results, summarise
 from racerl.sweep.work import work
 
 SETTINGS = {
@@ -79,6 +82,58 @@ def test_the_page_has_table_1_with_recorded_drives_once(planned):
     assert drivers.count("human, recorded") == 1 and "human, model" not in drivers
     assert {"pursuit, model", "pursuit, twin", "human like, twin", "paper: MPC, real car"} <= set(drivers)
     assert "5.850</td>" in page  # one lap, no interval
+
+
+def elsewhere(planned, tmp_path, **changes):
+    """The same sweep in another folder, which is told of the first."""
+    settings = {**SETTINGS, **changes}
+    first = planned.jobs[0].path.parent.parent
+    summarise(planned, SETTINGS, first, {})
+    again = plan(planned.sweeps, settings, tmp_path / "second", compose_settings)
+    return again, Elsewhere.read([str(first)], again, settings)
+
+
+def test_what_another_sweep_finished_stands_in_for_the_same_jobs(planned, tmp_path):
+    again, found = elsewhere(planned, tmp_path)
+    assert found.has(again) == {"human", "human_like", "pursuit"} and found.origins[0]["jobs"] == 3
+    before, after = (gather(*asked) for asked in ((planned, 1), (again, 1, found.tables)))
+    for name in (LAPS, TRAININGS):
+        pd.testing.assert_frame_equal(before[name], after[name], check_dtype=False, rtol=1e-5)
+    assert not any(job.path.exists() for job in again.jobs)
+    (tmp_path / "second").mkdir()
+    facts = summarise(again, SETTINGS, tmp_path / "second", {}, found)
+    assert facts["jobs"] == {"planned": 3, "done": 3} and facts["also"] == list(found.origins)
+
+
+def test_jobs_with_other_words_are_not_the_same(planned, tmp_path):
+    arms = dict(planned.sweeps[0].arms) | {"human_like": ("drive=human_like", "drive.block=30")}
+    other = dataclasses.replace(planned, sweeps=[dataclasses.replace(planned.sweeps[0], arms=arms)])
+    again, found = elsewhere(other, tmp_path)
+    assert found.has(again) == {"human", "pursuit"}
+
+
+@pytest.mark.parametrize(
+    "changes, said",
+    [
+        ({"laps": 2}, "has laps = 1, this sweep 2"),
+        ({"starts": [0]}, r"has starts = \[0, 1\], this sweep \[0\]"),
+        ({"cars": ["model", "twin", "twin_half"]}, "did not race in twin_half"),
+        ({"words": ["track=oval"]}, "none of its trainings"),
+    ],
+)
+def test_laps_of_another_race_do_not_stand_in(planned, tmp_path, changes, said):
+    mine = dataclasses.replace(planned.sweeps[0], arms={"pursuit": ("controller=pure_pursuit",)})
+    with pytest.raises(RacerlError, match=said):
+        elsewhere(dataclasses.replace(planned, sweeps=[mine]), tmp_path, **changes)
+
+
+def test_a_damaged_table_is_told(planned, tmp_path):
+    first = planned.jobs[0].path.parent.parent
+    summarise(planned, SETTINGS, first, {})
+    copied = shutil.copytree(first, tmp_path / "copy", ignore=shutil.ignore_patterns("jobs"))
+    (copied / LAPS).write_text("not,a,table\n1,2,3\n")
+    with pytest.raises(RacerlError, match="is damaged"):
+        Elsewhere.read([str(copied)], planned, SETTINGS)
 
 
 def test_rivals_race_in_the_world_of_the_others(tmp_path):

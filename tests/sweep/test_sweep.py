@@ -109,6 +109,11 @@ def test_a_sweep_goes_on_where_the_plug_was_pulled_and_trains_shared_arms_once(p
     before, written = results(out), {path: path.stat().st_mtime for path in out.glob("jobs/*/*/manifest.json")}
     assert run("sweep", "mine", *SMALL, "out=once").returncode == 0 and results(out) == before
     assert {path: path.stat().st_mtime for path in out.glob("jobs/*/*/manifest.json")} == written
+    more = run("sweep", "mine", *SMALL, "seeds=[0,1]", "also=[once]", "out=twice")
+    assert more.returncode == 0 and {path.name[:4] for path in (place / "twice" / "jobs").iterdir()} == {"a-1-", "b-1-"}
+    both = json.loads((place / "twice" / "results.json").read_text())
+    assert both["jobs"] == {"planned": 4, "done": 4} and both["also"][0]["jobs"] == 2
+    assert {row["trainings"] for row in both["arms"]} == {2}
     other = run("sweep", "mine", *SMALL, "out=once", "laps=2")
     assert other.returncode == 2 and "already holds another sweep" in other.stderr and other.stderr.count("\n") == 1
 
@@ -199,6 +204,8 @@ def test_a_job_that_is_asked_to_end_has_not_failed(place):
         (["cars=[truck]"], "unknown car 'truck'"),
         (["words=['dr=icy']"], "unknown dr 'icy'"),
         (["laps=many"], "laps = many"),
+        (["also=once"], "also = once"),
+        (["also=[once]"], "once: is no racerl run folder"),
         (["name=minr"], "unknown sweep 'minr'.*mine"),
     ],
 )
