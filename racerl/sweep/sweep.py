@@ -153,10 +153,8 @@ def gather(
     }
     parts: dict[str, list[pd.DataFrame]] = {LAPS: [], TRAININGS: [], LEARNING: [], STEERING: []}
     for key, job in planned.of.items():
-        if job.name in measured:
-            found = _of_arm(key, job, *measured[job.name], turning=key[0] in turning)
-        else:
-            found = elsewhere.get(key, {})
+        here = job.name in measured
+        found = _of_arm(key, job, *measured[job.name], turning=key[0] in turning) if here else elsewhere.get(key, {})
         for name, table in found.items():
             parts[name].append(table)
     tables = {name: pd.concat(each, ignore_index=True) if each else pd.DataFrame() for name, each in parts.items()}
