@@ -1,8 +1,8 @@
 """The drive stage: a person, or a script in their place, drives the simulated car live.
 
 Practice first, as long as one likes, then a counted session. Writes the whole drive as `log.parquet`
-(`racerl.data.log` says what its columns are; `manoeuvre` says practice or counted), and of the counted laps what an
-evaluation leaves (`racerl.evaluate.outcome`). Both hold what was true, without the sensors' noise; the window shows
+(`racerl.data.log` says what its columns are; `manoeuvre` says practice or counted) and as the ROS 2 bag `log.mcap`
+(`racerl.record.bag`), and of the counted laps what an evaluation leaves (`racerl.evaluate.outcome`). Both hold what was true, without the sensors' noise; the window shows
 what the car's sensors see. Ended early, the laps driven so far are kept; without one, the log alone.
 """
 
@@ -18,7 +18,7 @@ import pandas as pd
 
 from racerl import bounds
 from racerl.assemble import Car, use_threads
-from racerl.documents import write_parquet
+from racerl.documents import write_bytes, write_parquet
 from racerl.drive.pedals import create_pedal
 from racerl.drive.session import Phase, Session
 from racerl.drive.world import build
@@ -27,13 +27,14 @@ from racerl.evaluate.drive import Recorder
 from racerl.evaluate.outcome import write_outcome
 from racerl.optimum.floor import problem_hash
 from racerl.optimum.kept import known
+from racerl.record.bag import encode_bag
 from racerl.registry import construct
 from racerl.run import RunFolder
 
 if TYPE_CHECKING:
     from racerl.drive.seat import Seat
 
-LOG = "log.parquet"
+LOG, BAG = "log.parquet", "log.mcap"
 
 
 def drive(settings: Mapping[str, Any], out: Path) -> dict[str, Any] | None:
@@ -84,6 +85,7 @@ def write(folder: RunFolder, seat: "Seat", car: Car, seed: int) -> dict[str, Any
         return None
     log = seat.recorder.log()
     write_parquet(folder.path / LOG, log.assign(manoeuvre=pd.Categorical(log["manoeuvre"])))
+    write_bytes(folder.path / BAG, encode_bag(log, float(race.vehicle.wheelbase)))
     if not laps:
         return None
     problem = problem_hash(race.vehicle, race.track, race.action)

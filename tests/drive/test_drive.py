@@ -12,8 +12,8 @@ import pytest
 from pygame.event import Event
 
 from racerl.config import compose_settings
-from racerl.data.load import load_given
-from racerl.drive.drive import LOG, drive
+from racerl.data.load import load_given, load_logs
+from racerl.drive.drive import BAG, LOG, drive
 from racerl.drive.screen import Screen
 from racerl.drive.seat import Seat
 from racerl.errors import ConfigError, RacerlError, RunError
@@ -67,6 +67,19 @@ def test_a_scripted_drive_leaves_what_an_evaluation_leaves(scripted, smoke_evalu
     assert set(rows) ^ set(others) == {"current", "omega_ref"}
     assert set(rows.loc[rows["lap"] > 0, "lap"]) == {1, 2, 3} and (rows["lap"] == 3).sum() == 1  # the last crossing
     assert RunFolder.open_complete(out, "drive").manifest["log"] == LOG
+
+
+def test_the_bag_read_back_is_the_log(scripted):
+    _, out = scripted
+    log, mapping = pd.read_parquet(out / LOG), compose_settings("data", ["logs=[x]", "data=f1tenth"])["data"]
+    (back,) = load_logs([out / BAG], mapping)
+    runs = back.table.groupby("run")
+    assert len(runs) == log["run"].nunique() == 2
+    for run, rows in log.groupby("run"):
+        read = runs.get_group(run).iloc[::2]  # bags are read at 100 Hz
+        assert len(read) == len(rows)
+        for channel in ("x", "y", "omega", "delta_ref", "current"):
+            np.testing.assert_allclose(read[channel], rows[channel], atol=1e-6, err_msg=channel)
 
 
 def test_the_log_is_a_drive_log_with_the_practice(scripted):
@@ -159,12 +172,12 @@ def test_a_pause_is_not_driven(tmp_path, monkeypatch):
     assert np.allclose(pd.read_parquet(tmp_path / "out" / LOG)["t"].diff().dropna(), 0.02)
 
 
-def test_without_a_counted_lap_only_the_log_is_written(tmp_path, monkeypatch):
+def test_without_a_counted_lap_only_the_log_and_its_bag_are_written(tmp_path, monkeypatch):
     act_at(monkeypatch, {1: key(pygame.K_UP), 30: lambda: os.kill(os.getpid(), signal.SIGINT)})
     handler = signal.getsignal(signal.SIGINT)
     out = tmp_path / "outputs" / "drive" / "out"
     assert driven(out, "input=keyboard") is None and signal.getsignal(signal.SIGINT) is handler
-    assert {path.name for path in out.iterdir()} == {LOG, "manifest.json", "config.yaml"}
+    assert {path.name for path in out.iterdir()} == {LOG, BAG, "manifest.json", "config.yaml"}
     assert load_given({"logs": str(out / LOG), "data": compose_settings("evaluate", ["run=x"])["data"]})
     with pytest.raises(RunError, match="already holds a drive"):
         driven(out, "input=keyboard")
