@@ -2,8 +2,9 @@
 
 Practice first, as long as one likes, then a counted session. Writes the whole drive as `log.parquet`
 (`racerl.data.log` says what its columns are; `manoeuvre` says practice or counted) and as the ROS 2 bag `log.mcap`
-(`racerl.record.bag`), and of the counted laps what an evaluation leaves (`racerl.evaluate.outcome`). Both hold what was true, without the sensors' noise; the window shows
-what the car's sensors see. Ended early, the laps driven so far are kept; without one, the log alone.
+(`racerl.record.bag`), and of the counted laps what an evaluation leaves (`racerl.evaluate.outcome`). All hold what was
+true, without the sensors' noise; the window shows what the car's sensors see. Ended early, the laps driven so far are
+kept; without one, the log alone.
 """
 
 import importlib.util
