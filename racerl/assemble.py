@@ -45,6 +45,7 @@ class Car:
 
     name: str
     actuators: bool = True
+    body: str = ""  # of racerl.vehicle.bodies: another's equations in place of the single-track car's
     step: float | None = None  # s, of the Runge–Kutta steps; that of `sim` where it is None
     vehicle: Mapping[str, Any] = field(
         default_factory=dict
@@ -68,7 +69,8 @@ class Car:
         floor = {}
         if self.grip != 1.0:
             floor["friction"] = self.grip * vehicle_document(vehicle, {}, "wheel_speed").get("friction", 1.0)
-        return {**vehicle, **floor, "effects": effects}
+        body = {"body": self.body} if self.body else {}
+        return {**vehicle, **floor, **body, "effects": effects}
 
 
 def _numbers(vehicle: Settings) -> dict[str, Any]:

@@ -18,6 +18,7 @@ def problem_hash(vehicle: Vehicle, track: Track, action: Action) -> str:
     """Return what tells a lap problem from others: the car's values, the track's tables, the action's limits."""
     car = {name: float(value) for name, value in values(vehicle).items()}
     kinds = [type(part).__name__ for part in (vehicle.steering, vehicle.drive, action)]
+    kinds += [vehicle.body] if vehicle.body else []
     tables = [table.round(6).tolist() for table in (track.x, track.y, track.width_left, track.width_right)]
     text = json.dumps([car, list(vehicle.states), kinds, asdict(action), tables], sort_keys=True)  # type: ignore[call-overload]
     return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -7,7 +7,7 @@ has traced. Single precision would not do: after half an hour a step of a millis
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from racerl.errors import RunError
 from racerl.record.drivers import Drive, Measured, Pose, Scene
 from racerl.record.sensors import Sensors
 from racerl.vehicle.actuator import MotorCurrent
+from racerl.vehicle.bodies import BodyMotion
 from racerl.vehicle.delay import delayed, periods
 from racerl.vehicle.integrate import advance
 from racerl.vehicle.ops import TORCH, CasadiOps
@@ -30,24 +31,38 @@ class Plant:
     """The car's state, advanced by one control period at a time."""
 
     def __init__(self, vehicle: Vehicle, pose: Pose, dt: float, step: float) -> None:
+        self.state, self._command = np.zeros(len(vehicle.states)), np.zeros(2)
+        self._after = np.zeros(len(vehicle.states))
+        self.state[:3] = pose
+        self._evaluate = self._of_body(vehicle, dt) if vehicle.body else self._traced(vehicle, dt, step)
+        self._dt, self._delays = dt, vehicle.delays()
+        self._history = [(0.0, 0.0)] * (periods(vehicle, dt) + 1)
+
+    def _traced(self, vehicle: Vehicle, dt: float, step: float) -> Callable[[], None]:
+        """Return what advances the arrays in place by the traced equations."""
         import casadi
 
         steps = max(1, math.ceil(dt / step - 1e-9))
         state, command = casadi.SX.sym("x", len(vehicle.states)), casadi.SX.sym("u", 2)
         after = advance(vehicle, state, command, dt / steps, steps, CasadiOps())
-        self.state, self._command = np.zeros(len(vehicle.states)), np.zeros(2)
-        self._after = np.zeros(len(vehicle.states))
-        self._connect(casadi.Function("advance", [state, command], [after]))
-        self.state[:3] = pose
-        self._dt, self._delays = dt, vehicle.delays()
-        self._history = [(0.0, 0.0)] * (periods(vehicle, dt) + 1)
+        return self._connected(casadi.Function("advance", [state, command], [after]))
 
-    def _connect(self, function: Any) -> None:
-        """Let the function read and write the arrays in place."""
-        self._buffer, self._evaluate = function.buffer()
+    def _connected(self, function: Any) -> Callable[[], None]:
+        """Let a function read and write the arrays in place."""
+        self._buffer, evaluate = function.buffer()
         self._buffer.set_arg(0, self.state.data)
         self._buffer.set_arg(1, self._command.data)
         self._buffer.set_res(0, self._after.data)
+        return cast(Callable[[], None], evaluate)
+
+    def _of_body(self, vehicle: Vehicle, dt: float) -> Callable[[], None]:
+        """Return what advances the arrays in place by a foreign body's own equations."""
+        motion = BodyMotion(vehicle, (), dt)
+
+        def evaluate() -> None:
+            self._after[:] = motion.advance(0, self.state, self._command.tolist())
+
+        return evaluate
 
     def advance(self, delta_ref: float, drive_ref: float) -> None:
         """Hold a command for one control period."""

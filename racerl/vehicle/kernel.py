@@ -16,6 +16,7 @@ from typing import Any, cast
 import torch
 from torch import Tensor
 
+from racerl.vehicle.bodies import BodyMotion
 from racerl.vehicle.codegen import precision, statements
 from racerl.vehicle.compiler import build
 from racerl.vehicle.integrate import advance
@@ -239,13 +240,15 @@ class _Advance(torch.autograd.Function):
         return (*ctx.motion.pull(ctx.saved_tensors, cotangents[0]), None)
 
 
-Motion = TorchMotion | CompiledMotion
+Motion = TorchMotion | CompiledMotion | BodyMotion
 
 
 def choose_motion(
     vehicle: Vehicle, names: Sequence[str], dt: float, steps: int, device: torch.device, dtype: torch.dtype
 ) -> Motion:
     """Return the fastest motion that this machine can run, for a car whose named parameters differ between cars."""
+    if vehicle.body:
+        return BodyMotion(vehicle, names, dt * steps)
     reference = TorchMotion(vehicle, names, dt, steps)
     if dtype != torch.float32:
         return reference

@@ -8,6 +8,7 @@ from typing import Any
 from racerl import registry
 from racerl.documents import read_yaml
 from racerl.errors import VehicleError, suggest
+from racerl.vehicle import bodies as bodies_package
 from racerl.vehicle import effects as effects_package
 from racerl.vehicle.actuator import FirstOrder, MotorCurrent
 from racerl.vehicle.effects import Effect
@@ -33,9 +34,10 @@ def load_vehicle(settings: Mapping[str, Any], drive: str = "wheel_speed", actuat
         if name not in settings:
             raise VehicleError(f"vehicle: section '{name}' is missing; copy it from conf/vehicle/published.yaml")
         parts[name] = build(cls, settings[name], f"vehicle.{name}")
-    body = {key: value for key, value in settings.items() if key not in COMPONENTS and key != "effects"}
+    own = {key: value for key, value in settings.items() if key not in (*COMPONENTS, "effects", "body")}
     vehicle = Vehicle(
-        **_check_body(body),
+        **_check_own(own),
+        body=_check_body(settings.get("body", "")),
         front=parts["front"],
         rear=parts["rear"],
         steering=parts["steering"],
@@ -50,7 +52,13 @@ def load_vehicle(settings: Mapping[str, Any], drive: str = "wheel_speed", actuat
     return vehicle if actuators else vehicle.without_actuators()
 
 
-def _check_body(settings: Mapping[str, Any]) -> dict[str, float]:
+def _check_body(name: Any) -> str:
+    if name and name not in registry.choices(bodies_package):
+        raise VehicleError(f"vehicle.body = {name}: is unknown{suggest(str(name), registry.choices(bodies_package))}")
+    return str(name)
+
+
+def _check_own(settings: Mapping[str, Any]) -> dict[str, float]:
     known = {
         name: field.metadata["parameter"]
         for name, field in Vehicle.__dataclass_fields__.items()
@@ -58,7 +66,9 @@ def _check_body(settings: Mapping[str, Any]) -> dict[str, float]:
     }
     for key in settings:
         if key not in known:
-            raise VehicleError(f"vehicle has no parameter '{key}'{suggest(key, {*known, *COMPONENTS, 'effects'})}")
+            raise VehicleError(
+                f"vehicle has no parameter '{key}'{suggest(key, {*known, *COMPONENTS, 'effects', 'body'})}"
+            )
     for key in ("mass", "yaw_inertia", "wheelbase", "l_f"):
         if key not in settings:
             raise VehicleError(f"vehicle.{key} is missing; give it in {known[key].unit}")

@@ -18,6 +18,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
+from racerl.errors import VehicleError
 from racerl.vehicle.actuator import Actuator, Given, Instant
 from racerl.vehicle.effects import Effect
 from racerl.vehicle.ops import Ops, Scalar
@@ -119,6 +120,7 @@ class Vehicle:
     steering: Actuator
     drive: Actuator
     effects: Mapping[str, Effect] = field(default_factory=dict)
+    body: str = ""  # of racerl.vehicle.bodies, driven in place of these equations
 
     @property
     def weight(self) -> Scalar:
@@ -230,7 +232,12 @@ class Vehicle:
         return steady + self.drag_constant * ops.tanh(v_x * 10.0)
 
     def derivative(self, state: Any, command: Any, ops: Ops) -> Any:
-        """Return d(state)/dt for stacked state (S, N) and command (2, N)."""
+        """Return d(state)/dt for stacked state (S, N) and command (2, N); raise VehicleError for a foreign body."""
+        if self.body:
+            raise VehicleError(
+                f"vehicle.body = {self.body}: such a car can be recorded and raced in (car={self.body}), "
+                "not fitted, optimised or predicted; leave body out"
+            )
         x, y, yaw, v_x, v_y, yaw_rate, delta, omega, *rest = ops.unstack(state)
         own = dict(zip(self.states[len(STATE) :], rest, strict=True))
         delta_ref, drive_ref = ops.unstack(command)
