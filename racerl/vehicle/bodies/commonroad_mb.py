@@ -33,7 +33,7 @@ BIG = 2  # CommonRoad's number of the BMW 320i
 STEERING_RATE, SPEED = 50.0, 50.0  # rad/s, m/s: beyond what actuators ask for
 STEP = 2e-4  # s
 STABLE = 2.0  # of 2.8, the largest |λ h| that Runge–Kutta steps of fourth order bear
-STANDING = 0.1  # m/s, below which the source drives kinematically
+STANDING = 0.1  # m/s, below which the source drives kinematically, without slip
 X, Y, DELTA, V_X, YAW, YAW_RATE, V_Y, WHEELS = 0, 1, 2, 3, 4, 5, 10, slice(23, 27)
 
 
@@ -52,6 +52,9 @@ class CommonroadMb:
 
         self._init, self._dynamics = init_mb, vehicle_dynamics_mb
         self.parameters = scaled(float(vehicle.wheelbase), float(vehicle.mass))
+        p = self.parameters
+        # s per m/s: a wheel's slip settles at the rate p_Kx1 F_z R²/(I |v_x|), which no step may outrun
+        self._settling = STABLE * p.I_y_w / (p.tire.p_kx1 * (p.m * 9.81 / 4.0) * p.R_w**2)
         self._times = float(vehicle.steering.time_constant), float(vehicle.drive.time_constant)
 
     def begin(self, shown: Sequence[float]) -> list[float]:
@@ -75,16 +78,11 @@ class CommonroadMb:
         """Return the state after a command, by Runge–Kutta steps as short as the wheels' slip needs."""
         left = seconds
         while left > 1e-9:
-            step = min(left, STEP, STABLE / self._stiffness(own[V_X]))
+            slow = abs(own[V_X]) < STANDING
+            step = min(left, STEP, STEP if slow else abs(own[V_X]) * self._settling)
             own = self._step(own, command, step)
             left -= step
         return own
-
-    def _stiffness(self, v_x: float) -> float:
-        """Return the rate in 1/s at which a wheel's slip settles, K_xκ F_z R²/(I |v_x|)."""
-        p = self.parameters
-        load = p.m * 9.81 / 4.0
-        return float(p.tire.p_kx1 * load * p.R_w**2 / p.I_y_w / max(abs(v_x), STANDING))
 
     def _step(self, own: list[float], command: tuple[float, float], h: float) -> list[float]:
         k_1 = self._rates(own, command)
