@@ -62,7 +62,7 @@ def options(
 def train(overrides: Annotated[list[str] | None, _words("[GROUP=CHOICE | KEY=VALUE]...", "train")] = None) -> None:
     """Train a policy: racerl train +dr=friction_0.02 out=outputs/train/first
 
-    Groups: vehicle track sim obs action dr algo budget. `--cfg job` shows all settings, `-m` runs several.
+    Groups: vehicle track sim obs action dr algo budget tracking. `--cfg job` shows all settings, `-m` runs several.
 
     A policy follows its car's new model, another track or randomization: racerl train from=RUN vehicle=model.yaml
     """

@@ -78,6 +78,16 @@ class Recording(Result):
         return self.folder / str(self.facts["log"])
 
 
+@dataclass(frozen=True)
+class Picture:
+    """A figure in an SVG file; notebooks show it in place of its path."""
+
+    path: Path
+
+    def _repr_svg_(self) -> str:
+        return self.path.read_text(encoding="utf-8")
+
+
 class Reported(Result):
     """A finished run that has drawn its report."""
 
@@ -85,6 +95,24 @@ class Reported(Result):
     def page(self) -> Path:
         """The report."""
         return self.folder / "report.html"
+
+    @property
+    def figures(self) -> dict[str, Picture]:
+        """The report's figures by name, as far as there was something to draw."""
+        return {path.stem: Picture(path) for path in sorted(self.folder.glob("*.svg"))}
+
+
+class Survey(Reported):
+    """What logs hold, and what is wrong with them."""
+
+    @property
+    def warnings(self) -> list[str]:
+        """The traps of each log, then what concerns several."""
+        return [*(warning for log in self.facts["logs"] for warning in log["warnings"]), *self.facts["warnings"]]
+
+
+class Report(Reported):
+    """A page about drivers."""
 
 
 class Identification(Reported):
@@ -204,11 +232,13 @@ class Optimum(Result):
 
 FINISHED: dict[type[Result], tuple[str, str]] = {  # stage, and the file of its facts; "": the manifest
     Recording: ("record", ""),
+    Survey: ("data", "data.json"),
     Identification: ("identify", "identification.json"),
     Diagnosis: ("gap", "verdict.json"),
     Training: ("train", ""),
     Laps: ("evaluate", "metrics.json"),
     Optimum: ("optimum", "optimum.json"),
+    Report: ("report", ""),
 }
 
 
@@ -225,6 +255,17 @@ def record(
     composed = _composed("record", words, settings, out)
     stage(composed, Path(composed["out"]), lambda share: on_progress(share, "driving"))
     return Recording.of(composed["out"])
+
+
+def data(logs: Places, *words: str, out: str | Path | None = None, **settings: Setting) -> Survey:
+    """Look into logs: `racerl data`."""
+    from racerl.data.survey import survey
+    from racerl.report.log_page import draw_logs
+
+    composed = _composed("data", words, settings, out, logs=logs)
+    survey(composed, Path(composed["out"]))
+    draw_logs(Path(composed["out"]))
+    return Survey.of(composed["out"])
 
 
 def identify(
@@ -300,6 +341,15 @@ def optimum(
     composed = _composed("optimum", words, settings, out)
     stage(composed, Path(composed["out"]), on_progress)
     return Optimum.of(composed["out"])
+
+
+def report(runs: Places, *words: str, out: str | Path | None = None, **settings: Setting) -> Report:
+    """Draw runs of `train`, `evaluate` or a sweep on one page: `racerl report`."""
+    from racerl.report.report import report as stage
+
+    composed = _composed("report", words, settings, out, runs=runs)
+    stage(composed, Path(composed["out"]))
+    return Report.of(composed["out"])
 
 
 def _composed(

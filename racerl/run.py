@@ -35,8 +35,8 @@ LIBRARIES = ("torch", "stable-baselines3", "numpy", "casadi")
 
 
 def config_hash(settings: Mapping[str, Any]) -> str:
-    """Return a hash of the settings that decide a result; `out` does not."""
-    decisive = {key: value for key, value in settings.items() if key != "out"}
+    """Return a hash of the settings that decide a result; `out` and `tracking` do not."""
+    decisive = {key: value for key, value in settings.items() if key not in ("out", "tracking")}
     return hashlib.sha256(json.dumps(decisive, sort_keys=True, default=str).encode()).hexdigest()[:16]
 
 

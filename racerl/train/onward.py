@@ -28,7 +28,7 @@ def train_onward(
     check_settings(before)
     policy = load_policy(run.path)
     given = {group: settings[group] for group in OVERRIDABLE if settings.get(group) is not None}
-    kept = {key: settings[key] for key in ("budget", "seed", "threads", "device", "out")}
+    kept = {key: settings.get(key) for key in ("budget", "seed", "threads", "device", "out", "tracking")}
     # the policy knows what it sees and does, in which scale
     world = {**before, **given, "obs": dict(policy.observation), "action": dict(policy.action)}
     origin = {"name": "trained", "run": str(settings["from"]), "learned": learned(before)}

@@ -25,6 +25,7 @@ from racerl.evaluate.drive import drive
 from racerl.evaluate.laps import score
 from racerl.interruption import held_back
 from racerl.run import RunFolder
+from racerl.train.trackers import Tracker
 
 PROGRESS = "progress.jsonl"
 CHECKPOINT_PERIOD = 30.0  # s
@@ -115,8 +116,10 @@ class Session:
         out: Path,
         device: torch.device,
         on_progress: Callable[[Progress], None],
+        tracker: Tracker | None = None,
     ) -> None:
         self.settings, self.out, self.device, self.on_progress = settings, out, device, on_progress
+        self.tracker = tracker
         self.seed: int = settings["seed"]
         self.examiner = Examiner(settings, device)
         self.races: list[Race] = [self.examiner.race]  # all that is driven in
@@ -133,7 +136,8 @@ class Session:
         self.failures = read_failures(self.folder.path)
         tensorboard = TensorBoardOutputFormat(str(self.folder.path / "tensorboard"))
         self.lines = JsonLines(self.folder.path / PROGRESS)
-        self.logger = Logger(None, [tensorboard, self.lines])
+        tracked = [self.tracker.follow(self.folder)] if self.tracker else []
+        self.logger = Logger(None, [tensorboard, self.lines, *tracked])
         self._began = time.perf_counter()
 
     @contextmanager

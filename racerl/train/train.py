@@ -2,7 +2,7 @@
 
 Writes into its run folder: `policy.safetensors` and `policy.json` (the best policy by evaluation), `progress.jsonl`
 (one line per update, append-only) and `tensorboard/`; where the budget ends with a refinement, the policy before it
-in `unrefined/`, too.
+in `unrefined/`, too. `tracking` is no part of the run: it has no place in its configuration, and changes no number.
 """
 
 from collections.abc import Callable, Mapping
@@ -22,6 +22,7 @@ from racerl.train.checkpoint import discard
 from racerl.train.refinement import FILE as REFINING
 from racerl.train.refinement import Refinement, refine
 from racerl.train.session import Progress, Session
+from racerl.train.trackers import create_tracker
 
 
 def train(
@@ -38,7 +39,9 @@ def train(
     use_threads(settings["threads"])
     algorithm = create_algorithm(settings["algo"])
     refinement = _refinement(settings["budget"].get("refinement"))
-    session = Session(settings, out, choose_device(settings["device"]), on_progress)
+    tracker = create_tracker(settings.get("tracking"))
+    own = {key: value for key, value in settings.items() if key != "tracking"}
+    session = Session(own, out, choose_device(settings["device"]), on_progress, tracker)
     try:
         facts = algorithm.train(session) if refinement is None else _refined(session, algorithm, refinement)
     except Diverged as error:
