@@ -52,7 +52,7 @@ def test_no_file_is_left_out():
         # composed below, each with its command
         *(
             f"{group}/{path.name}"
-            for group in ("benchmark", "controller", "drive", "engine", "method", "priors")
+            for group in ("benchmark", "controller", "drive", "engine", "method", "priors", "tracking")
             for path in (CONF / group).glob("*.yaml")
         ),
         "dr/posterior.yaml",  # tests/env draws from a run
@@ -103,6 +103,13 @@ def test_every_command_composes(command, words):
 def test_every_method_composes_and_builds(path):
     settings = compose_settings("identify", ["logs=[x]", f"method={path.stem}"])
     assert registry.create(methods, settings["method"]).iterations > 0
+
+
+@pytest.mark.parametrize("path", sorted((CONF / "tracking").glob("*.yaml")), ids=lambda path: path.stem)
+@pytest.mark.parametrize("command, words", [("train", []), ("refine", ["from=x"])])
+def test_every_tracker_composes(path, command, words):
+    assert compose_settings(command, [*words, f"tracking={path.stem}"])["tracking"]["name"] == path.stem
+    assert "tracking" not in compose_settings(command, words)
 
 
 @pytest.mark.parametrize("name", [path.stem for path in sorted((CONF / "drive").glob("*.yaml"))])
@@ -197,6 +204,7 @@ def test_a_handed_configuration_cannot_run_code(tmp_path, monkeypatch, text, sai
         (["vehicle.mass=${nowhere}"], "nowhere"),
         (["track.file=???"], "track.file is missing"),
         (["+vehicle/effect=aero_drug"], "aero_drag"),
+        (["tracking=wandb"], "unknown tracking 'wandb'; choose from: trackio"),
         (["--mutlirun"], "--multirun"),
         (["seed=.nan"], "seed"),
     ],

@@ -156,3 +156,4 @@ def test_an_unwritable_place_is_named(tmp_path):
 
 def test_the_hash_knows_what_matters():
     assert config_hash({"a": 1, "out": "x"}) == config_hash({"out": "y", "a": 1}) != config_hash({"a": 2})
+    assert config_hash({"a": 1, "tracking": {"name": "trackio"}}) == config_hash({"a": 1})

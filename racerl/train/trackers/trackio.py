@@ -6,6 +6,7 @@ and writes again when it goes on, is there once. `trackio sync` is how a user se
 """
 
 import logging
+import re
 import sqlite3
 import zlib
 from dataclasses import dataclass
@@ -21,12 +22,14 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Trackio:
-    """Its settings; raises ConfigError where Trackio is not installed or has no such project."""
+    """Its settings; raises ConfigError where Trackio is not installed, or takes no project of that name."""
 
     project: str
 
     def __post_init__(self) -> None:
-        _storage().validate_project_name(self.project)
+        if not isinstance(self.project, str) or not re.fullmatch(r"[\w-]+", self.project):
+            raise ConfigError(f"tracking.project = {self.project!r}: letters, digits, - and _ are expected")
+        _storage().validate_project_name(self.project)  # a ValueError where Trackio keeps the name for itself
 
     def follow(self, folder: RunFolder) -> "Records":
         """Return what writes a run's numbers into the project."""
