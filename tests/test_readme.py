@@ -86,6 +86,17 @@ def test_a_centreline_comes_out_of_a_map(tmp_path, monkeypatch):
     assert np.allclose(track.width_right, 0.5, atol=0.06) and np.allclose(track.width_left, 0.5, atol=0.06)
 
 
+def test_the_race_is_a_vector_environment_on_tensors(capsys):
+    page = (ROOT / "racerl" / "README.md").read_text(encoding="utf-8")
+    (recipe,) = (block for kind, block in BLOCKS.findall(page) if kind == "python" and "race.step" in block)
+    assert len(recipe.splitlines()) <= 12
+    left = {}
+    exec(compile(recipe, "race.py", "exec"), left)  # noqa: S102
+    assert left["observation"].shape == (400, 50) and left["observation"].isfinite().all()
+    assert left["race"].faults == 0 and left["episodes"] > 0 and left["metres"].mean() > 0.0
+    assert f"{left['episodes']} episodes" in capsys.readouterr().out
+
+
 @pytest.mark.slow
 def test_the_commands_are_functions(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
