@@ -116,6 +116,42 @@ def optimum(overrides: Annotated[list[str] | None, _words("[GROUP=CHOICE | KEY=V
 
 
 @app.command(context_settings=HYDRA)
+def track(
+    arguments: Annotated[
+        list[str] | None,
+        _words("[TRACK] [KEY=VALUE]...", "track", others=lambda: ["add", *choices("track")]),
+    ] = None,
+) -> None:
+    """Check and show a track: racerl track oval, or racerl track maps/spa
+
+    TRACK is a name, a centreline .csv, a map .yaml, or a folder that holds one, such as an F1TENTH map set. Checks its
+    unit, bends, edges and walls for a car (groups: vehicle action). Writes track.json and track.svg. Where it is in
+    cm: scale=0.01.
+
+    racerl track add FOLDER|CSV gives it a name (racerl track add --help).
+    """
+    from racerl.config import name_track
+
+    _run("track", name_track(arguments or [], choices("track")), _track)
+
+
+@app.command("track add", context_settings=HYDRA, hidden=True)
+def track_add(arguments: Annotated[list[str] | None, _words("FOLDER|CSV [KEY=VALUE]...", "track")] = None) -> None:
+    """Check a track and give it a name: racerl track add maps/spa name=spa
+
+    From then on track=spa is a track of every command that is run here: conf/track/spa.yaml and spa.csv say so. Nothing
+    is written over. FOLDER is an F1TENTH map set (NAME_map.yaml, its image, NAME_centerline.csv). Keys are racerl
+    track's; reverse=true races it the other way round.
+    """
+    from racerl.config import name_track
+
+    words = name_track(arguments or [], ())
+    if not any(word.startswith(("track=", "track.file=")) for word in words) and not {"--cfg", "-c"} & {*words}:
+        raise ConfigError("which track? write racerl track add FOLDER, or racerl track add centreline.csv")
+    _run("track", words, _track_add)
+
+
+@app.command(context_settings=HYDRA)
 def report(
     arguments: Annotated[
         list[str] | None, _words("[RUN]... [KEY=VALUE]...", "report", others=lambda: ["compare"])
@@ -767,6 +803,28 @@ def _print_metrics(console: Any, metrics: dict[str, Any]) -> None:
     console.print(table)
     if metrics["nan_cars"]:
         console.print(f"warning: the simulation failed (NaN) for {metrics['nan_cars']} cars; counted as crashes")
+
+
+def _track(settings: "Settings", out: Path) -> None:
+    from racerl.report.track import show_track
+
+    _print_track(show_track(settings, out), out)
+
+
+def _track_add(settings: "Settings", out: Path) -> None:
+    from racerl.report.track import add_track
+
+    facts, written = add_track(settings, out)
+    _print_track(facts, out)
+    files = " and ".join(map(str, written))
+    _print_lines(_console(), f"{files}: track={written[0].stem}", f"next: racerl train track={written[0].stem}")
+
+
+def _print_track(facts: dict[str, Any], out: Path) -> None:
+    from racerl.report.track import PICTURE, headline
+
+    odd = [f"problem: {line}" for line in facts["problems"]] + [f"warning: {line}" for line in facts["warnings"]]
+    _print_lines(_console(), f"{facts['track']}: {headline(facts)}", *odd, f"picture in {out / PICTURE}")
 
 
 def _report(settings: "Settings", out: Path) -> None:

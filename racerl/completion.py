@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 
 from racerl.choices import choices, default_groups
 
-TWO_WORDS = ("gap plan", "gap close", "report compare")  # commands
+TWO_WORDS = ("gap plan", "gap close", "report compare", "track add")  # commands
 BREAKS = "=:"  # of Bash's COMP_WORDBREAKS, those that racerl's words hold
 BASH = "_RACERL_COMPLETE", "complete_bash"  # what the shell's hook sets
 

@@ -315,6 +315,31 @@ def gather_words(command: str, arguments: Sequence[str], key: str) -> list[str]:
     return [*kept, f"{key}=[{','.join(map(quote, [*(base[key] if begun is None else begun), *others]))}]"]
 
 
+def name_track(arguments: Sequence[str], known: Collection[str]) -> list[str]:
+    """Return a user's words with the bare one as track=…: one of the names known, a file, or a folder that holds one.
+
+    Raises ConfigError where that is none, or where there are several.
+    """
+    from racerl.track.folder import track_file
+
+    kept: list[str] = []
+    bare: list[str] = []
+    words = iter(arguments)
+    for word in words:
+        if word in VALUED:
+            kept += [word, *([value] if (value := next(words, None)) else [])]
+        elif word.startswith(("-", "~")) or ("=" in word and not _there(word)):
+            kept.append(word)
+        else:
+            bare.append(word)
+    if len(bare) > 1:
+        raise ConfigError(f"{' '.join(bare)}: one track is expected; the rest as key=value")
+    for word in bare:
+        if known and word not in known and not _there(word):
+            raise ConfigError(f"{word}: no track of that name, file or folder in {Path.cwd()}{suggest(word, known)}")
+    return [*(f"track={word if word in known else track_file(Path(word))}" for word in bare), *kept]
+
+
 def _listed(value: str) -> list[str]:
     """Return the words of `[a=1,b=[2,3]]`, split at the commas that are in no inner bracket or quotes."""
     inner = value.strip().removeprefix("[").removesuffix("]") if value.strip().startswith("[") else value

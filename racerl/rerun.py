@@ -25,6 +25,7 @@ from racerl.gap.plan import plan
 from racerl.identify.identify import identify
 from racerl.optimum.optimum import optimum
 from racerl.record.record import record
+from racerl.report.track import show_track
 from racerl.run import CONFIG, MANIFEST, Compose, RunFolder, is_complete
 from racerl.sweep.elsewhere import TRAININGS as TABLE
 from racerl.sweep.sweep import sweep
@@ -47,6 +48,7 @@ STAGES: dict[str, Callable[..., Any]] = {
     "optimum": optimum,
     "tune": tune,
     "data": survey,
+    "track": show_track,
     "sweep": sweep,
     "close": close,
 }

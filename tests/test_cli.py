@@ -18,6 +18,7 @@ from racerl.cli import _following, app
 from racerl.completion import TWO_WORDS
 from racerl.config import compose_settings, gather_words
 from racerl.vehicle import compiler
+from tests.conftest import CONF
 
 PROGRAM = [sys.executable, "-m", "racerl.cli"]
 ROOT = Path(racerl.__file__).parent.parent
@@ -61,6 +62,20 @@ def test_drive(tmp_path, monkeypatch, run):
     assert done.returncode == 0 and done.stderr == "", done.stderr
     assert done.stdout.endswith("next: racerl report first\n")
     assert {"log.parquet", "metrics.json", "trajectories.parquet"} <= {p.name for p in (tmp_path / "first").iterdir()}
+
+
+def test_track(tmp_path, run):
+    """A track that is shown, then one that is added and raced by its name."""
+    done = run("track", "l_shape", "out=shown")
+    assert done.returncode == 0 and "17.5 m, clockwise, 1 m wide" in done.stdout, done.stderr
+    assert {"track.json", "track.svg", "manifest.json"} <= {path.name for path in (tmp_path / "shown").iterdir()}
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "mine_centerline.csv").write_bytes((CONF / "track" / "oval.csv").read_bytes())
+    done = run("track", "add", "mine", "out=added")
+    assert done.returncode == 0 and done.stderr == "", done.stderr
+    assert done.stdout.splitlines()[-1] == "next: racerl train track=mine"
+    done = run("train", "track=mine", "budget=smoke", "budget.steps=1024", "out=trained")
+    assert done.returncode == 0, done.stderr
 
 
 def test_data(tmp_path, run):
@@ -183,6 +198,11 @@ def test_a_full_disk_ends_with_one_line(tmp_path, run, monkeypatch):
         (["sweep", "ablatoins"], "did you mean ablations"),
         (["train", "seed=one"], "seed = one: a number is expected"),
         (["train", "track=mine.csv"], "mine.csv: no such file in "),
+        (["track", "add"], "racerl track add FOLDER"),
+        (["track", "add", "nowhere"], "nowhere: no such file or folder in "),
+        (["track", "add", "."], "holds no track; give a centreline .csv"),
+        (["track", "add", "oval", "bean"], "one track is expected"),
+        (["track", "ovl"], "did you mean oval"),
     ],
 )
 def test_mistakes_say_what_to_write(words, said, run, tmp_path):
@@ -208,6 +228,7 @@ finally: print([name for name in ("torch", "scipy") if name in sys.modules])"""
         ["sweep", "ablatoins"],
         ["identify", "nowhere.csv"],
         ["train", "track=nowhere.csv"],
+        ["track", "add", "nowhere"],
     ],
     ids=" ".join,
 )
@@ -333,6 +354,8 @@ def test_bash_completes_what_can_be_typed(bash):
         "racerl gap pl": "plan ",
         "racerl gap close budget=sm": "budget=smoke ",
         "racerl report com": "compare ",
+        "racerl track ad": "add ",
+        "racerl track ov": "oval ",
         "racerl gap dri": "drive.csv ",
         "racerl train vehicle=dri": "vehicle=drive.csv ",
     }.items():

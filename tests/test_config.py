@@ -49,6 +49,7 @@ def test_no_file_is_left_out():
         "rerun.yaml",
         "export.yaml",
         "tune.yaml",
+        "track.yaml",
         # composed below, each with its command
         *(
             f"{group}/{path.name}"
@@ -92,6 +93,7 @@ def test_every_choice_composes_and_drives(choice, monkeypatch):
         ("data", ["logs=[x]"]),
         ("identify", ["logs=[x]"]),
         ("optimum", []),
+        ("track", []),
     ],
 )
 def test_every_command_composes(command, words):

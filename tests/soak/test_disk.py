@@ -13,6 +13,7 @@ import sys
 import pytest
 
 from racerl.config import compose_settings
+from racerl.documents import conf_folder
 from racerl.evaluate.evaluate import evaluate
 from racerl.gap.diagnose import gap
 from racerl.record.record import record
@@ -35,6 +36,8 @@ COMMANDS = {
     "gap": ["gap", "{log}", "vehicle=published", "threads=1"],
     "gap plan": ["gap", "plan", "{log}", "vehicle=published"],
     "optimum": ["optimum", "track=oval"],
+    "track": ["track", "oval"],
+    "track add": ["track", "add", "{track}", "name=mine"],
     "report": ["report", "{raced}"],
     "report compare": ["report", "compare", "paper:rl", "paper:human"],
     "show": ["show", "paper:rl", "paper:human"],
@@ -95,6 +98,7 @@ def given(tmp_path_factory):
         "trained": folder / "trained",
         "raced": folder / "raced",
         "log": log,
+        "track": conf_folder() / "track" / "oval.csv",
         "refinement": refinement(),
     }
 

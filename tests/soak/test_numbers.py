@@ -25,6 +25,7 @@ from racerl.identify.identify import identify
 from racerl.optimum.optimum import optimum
 from racerl.record.record import record
 from racerl.report.report import report
+from racerl.report.track import show_track
 from racerl.run import RunFolder
 from racerl.sweep.sweep import sweep
 from racerl.train.close import close
@@ -50,6 +51,7 @@ COMMANDS: dict[str, tuple[list[str], Any, bool, bool]] = {
     "gap": (["logs=[{log}]"], gap, False, False),
     "data": (["logs=[{log}]"], survey, False, True),
     "report": (["runs=[]"], report, False, False),
+    "track": ([], show_track, False, True),
     "sweep": (["name=action_space"], sweep, True, False),
     "tune": (["controller=pure_pursuit"], tune, False, False),
     "close": (["logs=[{log}]", "real=published"], close, True, False),

@@ -29,6 +29,7 @@ COMMANDS = [
     ["evaluate", "trained", "laps=2", "seeds=[0,1]", "car=twin", "out=raced"],
     ["evaluate", "controller=mpc", "laps=1", "seeds=[0]", "out=mpc"],
     ["optimum", "track=oval", "out=optimum"],
+    ["track", "l_shape", "out=track"],
     ["identify", "log/log.parquet", "starts=1", "folds=2", "threads=2", "out=identified"],
     ["gap", "log/log.parquet", "vehicle=published", "threads=2", "out=gap"],
     ["tune", "pure_pursuit", "trials=3", "laps=1", "seeds=[0]", "out=tuned"],
