@@ -129,7 +129,7 @@ def _check_ground(track: Track, found: Findings) -> None:
         n = dy * np.cos(track.yaw[near]) - dx * np.sin(track.yaw[near])
         inside = np.abs(n) < np.where(n > 0, track.width_left[near], track.width_right[near]) - SHALLOW
         apart = np.abs(np.mod(near * track.spacing - s + track.length / 2, track.length) - track.length / 2)
-        other = inside & (apart > 2 * np.pi * track.max_half_width)  # more than round the tightest bend
+        other = inside & (apart > np.pi * track.max_half_width)  # more than round a bend as tight as the track is wide
         shared = np.where(other, near, shared)
     if (mask := shared >= 0).any():
         first = int(mask.argmax())

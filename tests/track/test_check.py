@@ -141,7 +141,6 @@ def test_a_picture_shows_the_map_turned_as_it_is(tmp_path):
     svg = track_sheet.draw(read, {"look here": mask}, "ring")
     assert svg == track_sheet.draw(read, {"look here": mask}, "ring")
     assert "look here" in svg and "<image" in svg
-    assert "<image" not in track_sheet.draw(read._replace(free=None), {}, "ring")
 
 
 def test_a_folders_track_is_its_map_then_its_centreline(tmp_path):
