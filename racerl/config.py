@@ -47,7 +47,7 @@ ASKED = {
 }
 PATHS = {  # positional keys that name files or folders, and what is allowed
     "logs": "drive logs: CSV, Parquet or a bag",
-    "run": "a training run; for evaluate also a drive log, paper:rl or paper:human, for export a vehicle",
+    "run": "a training run; for evaluate also a drive log, a raceline, paper:rl or paper:human, for export a vehicle",
     "runs": "finished runs",
     "drivers": "finished evaluate, drive or train runs, paper:rl or paper:human",
 }

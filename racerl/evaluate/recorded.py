@@ -2,10 +2,12 @@
 
 Every run of the log is followed along the centreline from its first sample. A crash is what it is in a race (more than
 0.2 m off the track, turned around, a stop); the driver goes on from there, and the next lap begins at the next line.
+A raceline is a drive, too: the one along it at its own speeds.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,7 +24,10 @@ from racerl.errors import ConfigError, LogError
 from racerl.evaluate.laps import Lap, LapTimer
 from racerl.paper import PAPER, find_lap
 from racerl.track.frenet import PLACE, FrenetFrame
+from racerl.track.raceline import drive_along, is_raceline, read_raceline
 from racerl.track.track import Track
+
+RACELINE_LAPS, RACELINE_RATE = 2.1, 100.0  # of a raceline's drive, so that a flying lap is in it; Hz
 
 
 def read_recorded(settings: Mapping[str, Any]) -> tuple[Track, list[Log]]:
@@ -35,6 +40,9 @@ def read_recorded(settings: Mapping[str, Any]) -> tuple[Track, list[Log]]:
     if str(settings["run"]).startswith(PAPER):
         title, lap = find_lap(str(settings["run"]))
         return build_track(settings), [Log.from_table(title, lap)]
+    if is_raceline(file := Path(settings["run"])):
+        drive = drive_along(read_raceline(file), RACELINE_LAPS, RACELINE_RATE)
+        return build_track(settings), [Log.from_table(file.name, drive)]
     logs = load_given({"logs": settings["run"], "data": settings["data"]})
     for log in logs:
         lacking = [channel for channel in (*POSE, "v_x") if channel not in log.channels]

@@ -27,6 +27,7 @@ from racerl.optimum.floor import problem_hash
 from racerl.optimum.held import Held, hold
 from racerl.run import RunFolder
 from racerl.track.frenet import FrenetFrame
+from racerl.track.raceline import raceline_text
 from racerl.track.track import Track
 from racerl.vehicle.integrate import advance
 from racerl.vehicle.ops import TORCH
@@ -164,7 +165,8 @@ def optimum(
     }
     table = trajectory(best.solution)
     write_parquet(folder.path / TRAJECTORY, table)
-    write_text(folder.path / RACELINE, tum_raceline(table))
+    about = f"racerl optimum: {track.name}", f"lap time {best.time:.3f} s"
+    write_text(folder.path / RACELINE, raceline_text(raceline(table), table["distance"].iloc[-1], about))
     write_json(folder.path / RESULT, facts)
     problem = problem_hash(vehicle, track, action)
     folder.finish(seconds=facts["seconds"], problem=problem, time_s=best.time)
@@ -192,8 +194,8 @@ def trajectory(solution: Solution) -> pd.DataFrame:
     )
 
 
-def tum_raceline(table: pd.DataFrame) -> str:
-    """Return a TUM raceline: s, x, y, heading of the path (0 is +y), its curvature, speed and acceleration along it."""
+def raceline(table: pd.DataFrame) -> pd.DataFrame:
+    """Return a lap as a TUM raceline: s, x, y, heading of the path (0 is +y), its curvature, speed and acceleration."""
     x, y, t, s = (table[name].to_numpy() for name in ("x", "y", "t", "distance"))
     speed = np.hypot(table["v_x"], table["v_y"]).to_numpy()
     course = np.unwrap(table["yaw"].to_numpy() + np.arctan2(table["v_y"], table["v_x"]).to_numpy())
@@ -206,5 +208,4 @@ def tum_raceline(table: pd.DataFrame) -> str:
         "vx_mps": speed,
         "ax_mps2": np.gradient(speed, t),
     }
-    lines = pd.DataFrame(columns).to_csv(index=False, sep=";", float_format="%.6f", lineterminator="\n")
-    return "# " + lines.replace(";", "; ")
+    return pd.DataFrame(columns)

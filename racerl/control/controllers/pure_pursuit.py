@@ -16,16 +16,14 @@ from torch import Tensor
 
 from racerl import bounds
 from racerl.control.controllers import Known
-from racerl.documents import read_text
 from racerl.env.actions import outputs
 from racerl.env.race import V_X, YAW, Race, X, Y
-from racerl.errors import ConfigError
+from racerl.errors import ConfigError, TrackError
 from racerl.optimum.kept import kept_lap
 from racerl.optimum.optimum import trajectory
+from racerl.track.raceline import read_raceline
 
 SPACING = 0.02  # m
-SHORTEST = 1.0  # m, of a line
-COLUMNS = {"x": 1, "y": 2, "speed": 5}  # of a TUM raceline
 
 Array = NDArray[np.float64]
 
@@ -106,17 +104,8 @@ def _time_optimal(known: Known) -> Array:
 
 def _read(path: Path) -> Array:
     """Return x, y and speed of a raceline in the TUM format; raise ConfigError for anything else."""
-    rows = [line for line in read_text(path).splitlines() if line.strip() and not line.startswith("#")]
     try:
-        table = np.array([[float(cell) for cell in row.split(";")] for row in rows])
-        line = np.stack([table[:, column] for column in COLUMNS.values()])
-    except (ValueError, IndexError) as error:
-        raise ConfigError(
-            f"controller.raceline = {path}: no TUM raceline (s; x; y; psi; kappa; vx; ax): {error}"
-        ) from error
-    length = np.hypot(*np.diff(line[:2])).sum()
-    if line.shape[1] < 10 or not np.isfinite(line).all() or (line[2] <= 0).any() or length < SHORTEST:
-        raise ConfigError(
-            f"controller.raceline = {path}: ten points or more with positive speeds over {SHORTEST:g} m are expected"
-        )
-    return line
+        line = read_raceline(path)
+    except TrackError as error:
+        raise ConfigError(f"controller.raceline = {error}") from error
+    return np.stack([line["x_m"], line["y_m"], line["vx_mps"]])
