@@ -76,8 +76,8 @@ def train(overrides: Annotated[list[str] | None, _words("[GROUP=CHOICE | KEY=VAL
 def evaluate(arguments: Annotated[list[str] | None, _words("RUN [KEY=VALUE]...", "evaluate", "race")] = None) -> None:
     """Race a trained policy: racerl evaluate outputs/train/first laps=20
 
-    Drives flying laps per seed; writes metrics.json and trajectories.parquet. A recorded drive, or a raceline, is scored
-    the same way: racerl evaluate drive.csv.gz track=l_shape
+    Drives flying laps per seed; writes metrics.json and trajectories.parquet. A recorded drive is scored the same way,
+    or a raceline: racerl evaluate drive.csv.gz track=l_shape
 
     Rivals race in the world of racerl train: racerl evaluate controller=mpc car=twin
     """
