@@ -90,7 +90,7 @@ def test_pure_pursuit_laps_cleanly_on_the_optimum_and_on_a_line_of_ones_own(tmp_
     with pytest.raises(ConfigError, match="no TUM raceline"):
         ready("controller=pure_pursuit", f"controller.raceline={line}")
     line.write_text("\n".join(rows[:4]))
-    with pytest.raises(ConfigError, match="ten points"):
+    with pytest.raises(ConfigError, match="10 points"):
         ready("controller=pure_pursuit", f"controller.raceline={line}")
 
 
