@@ -138,6 +138,12 @@ def compose_settings(
     return settings
 
 
+def composed(command: str) -> str:
+    """Return all settings of a command, as `--cfg job` prints them."""
+    _register()
+    return OmegaConf.to_yaml(_compose(command, []))
+
+
 def make_env(overrides: Sequence[str] = (), seed: int = 0) -> "RaceEnv":
     """Return one car as a Gymnasium environment, with the overrides of `racerl train`."""
     from racerl.assemble import build_race

@@ -1,29 +1,34 @@
-"""What the READMEs promise: their length, links, commands and choices exist, and the recipe for a centreline works."""
+"""What the READMEs promise: their length, links and choices exist, commands compose, and their Python runs."""
 
 import re
+import shutil
 import sys
 
 import numpy as np
 import pytest
 from PIL import Image
 
+import racerl.config
 from racerl.cli import app
 from racerl.completion import TWO_WORDS
+from racerl.config import compose_settings
+from racerl.docs.markdown import BLOCK, Transcript, anchor, blocks, commands, headings, links
+from racerl.docs.sources import ROOT, readmes
 from racerl.documents import conf_folder
 from racerl.track.load import read_track
 
-ROOT = conf_folder().parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-FOLDERS = ("outputs/reference", "racerl", "conf", "sweeps", "tests")
-PAGES = [ROOT / "README.md", *sorted(page for folder in FOLDERS for page in (ROOT / folder).rglob("*.md"))]
-BLOCKS = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+PAGES = list(readmes().values())
 NAMES = {command.name or command.callback.__name__ for command in app.registered_commands if command.callback}
 COMMANDS = NAMES - set(TWO_WORDS)
 
 
-def anchors(page):
-    headings = re.findall(r"^#+ (.+)$", BLOCKS.sub("", page.read_text(encoding="utf-8")), re.MULTILINE)
-    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+def text_of(place):
+    return (ROOT / place).read_text(encoding="utf-8")
+
+
+def executed(block, name):
+    exec(compile(block, name, "exec"), {"__name__": name})  # noqa: S102
 
 
 def test_the_readme_can_be_read_in_one_go():
@@ -36,22 +41,46 @@ def test_the_build_finds_its_test_command():
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_links_lead_somewhere(page):
-    text = BLOCKS.sub("", page.read_text(encoding="utf-8"))
-    for target in re.findall(r"\]\(([^)\s]+)\)", text):
-        if target.startswith("http"):
-            continue
-        name, _, anchor = target.partition("#")
+    for target in links(page.read_text(encoding="utf-8")):
+        name, _, place = target.partition("#")
         there = page.parent / name if name else page
         assert there.exists(), target
-        assert not anchor or anchor in anchors(there), target
+        assert not place or place in map(anchor, headings(there.read_text(encoding="utf-8"))), target
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_commands_exist(page):
-    text = page.read_text(encoding="utf-8")
-    shell = "\n".join(block for kind, block in BLOCKS.findall(text) if kind in ("sh", "console"))
-    words = re.findall(r"\bracerl ([a-z]+)", re.sub(r"#.*", "", shell)) + re.findall(r"`racerl ([a-z]+)", text)
+    words = re.findall(r"`racerl ([a-z]+)", page.read_text(encoding="utf-8"))
     assert set(words) <= COMMANDS
+
+
+def given(word, folder):
+    """Put what a word names into a folder: a vehicle, a log, or a run."""
+    key, _, value = word.rpartition("=")
+    path = folder / value
+    if key in ("vehicle", "real") and path.suffix:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(conf_folder() / "vehicle" / "published.yaml", path)
+    elif key in ("", "from") and (path.parent != folder or path.suffix or value.isupper()) and not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch() if path.suffix else path.mkdir()
+
+
+@pytest.mark.parametrize("place", [place for place, page in readmes().items() if [*commands(page.read_text())]])
+def test_commands_compose(place, tmp_path, monkeypatch, run):
+    """Every racerl line of a shell block is one that the command takes, with all its groups, keys and values."""
+
+    def composed(command, words, task, positional=None):
+        bare = [word for word in words if "=" not in word] if positional else []
+        compose_settings(command, [word for word in words if word not in bare], {positional: bare} if bare else {})
+
+    monkeypatch.setattr(racerl.config, "run_command", composed)
+    for command in commands(text_of(place)):
+        words = [word.rstrip("…") for word in Transcript(command, "").words if word[0] != "["]  # [RUN…] may be left out
+        for word in words:
+            given(word, tmp_path)
+        done = run(*words)
+        assert done.returncode == 0, f"{command}: {done.stderr}"
 
 
 def test_every_command_is_in_the_readme():
@@ -62,7 +91,7 @@ def test_every_command_is_in_the_readme():
 def test_choices_exist():
     choices = [
         conf_folder() / group / f"{choice}.yaml"
-        for _, block in BLOCKS.findall(README)
+        for _, block in BLOCK.findall(README)
         for group, choice in re.findall(r"([a-z_/]+)=([\w./-]+)", block)
         if (conf_folder() / group).is_dir() and "/" not in choice
     ]
@@ -77,10 +106,9 @@ def test_a_centreline_comes_out_of_a_map(tmp_path, monkeypatch):
     image = np.where((radius > 2.0) & (radius < 3.0) | (radius < 0.5), 254, 205).astype(np.uint8)
     Image.fromarray(image[::-1]).save(tmp_path / "room.png")
     (tmp_path / "room.yaml").write_text("image: room.png\nresolution: 0.05\norigin: [-3.0, -2.0, 0.0]\nnegate: 0\n")
-    page = (ROOT / "racerl" / "track" / "README.md").read_text(encoding="utf-8")
-    (recipe,) = (block for kind, block in BLOCKS.findall(page) if kind == "python" and "sys.argv" in block)
+    (recipe,) = (block for block in blocks(text_of("racerl/track/README.md"), "python") if "sys.argv" in block)
     monkeypatch.setattr(sys, "argv", ["centreline.py", str(tmp_path / "room.yaml")])
-    exec(compile(recipe, "centreline.py", "exec"), {})  # noqa: S102
+    executed(recipe, "centreline.py")
     track = read_track(tmp_path / "room.yaml")
     assert np.allclose(np.hypot(track.x - 1.0, track.y - 2.0), 2.5, atol=0.05)
     assert np.allclose(track.width_right, 0.5, atol=0.06) and np.allclose(track.width_left, 0.5, atol=0.06)
@@ -100,7 +128,6 @@ def test_the_race_is_a_vector_environment_on_tensors(capsys):
 @pytest.mark.slow
 def test_the_commands_are_functions(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    page = (ROOT / "racerl" / "README.md").read_text(encoding="utf-8")
-    (recipe,) = (block for kind, block in BLOCKS.findall(page) if kind == "python" and "racerl.commands" in block)
-    exec(compile(recipe, "commands.py", "exec"), {})  # noqa: S102
+    (recipe,) = (block for block in blocks(text_of("racerl/README.md"), "python") if "racerl.commands" in block)
+    executed(recipe, "commands.py")
     assert "named Estimate(value=0.149" in capsys.readouterr().out
