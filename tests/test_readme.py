@@ -16,6 +16,7 @@ from racerl.docs.markdown import BLOCK, Transcript, anchor, blocks, commands, he
 from racerl.docs.sources import ROOT, readmes
 from racerl.documents import conf_folder
 from racerl.track.load import read_track
+from racerl.vehicle import effects
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 PAGES = list(readmes().values())
@@ -131,3 +132,31 @@ def test_the_commands_are_functions(tmp_path, monkeypatch, capsys):
     (recipe,) = (block for block in blocks(text_of("racerl/README.md"), "python") if "racerl.commands" in block)
     executed(recipe, "commands.py")
     assert "named Estimate(value=0.149" in capsys.readouterr().out
+
+
+def test_a_race_is_had_from_python():
+    (recipe,) = blocks(README, "python")
+    executed(recipe, "races.py")
+
+
+def test_a_mapping_of_ones_own_is_taken(tmp_path, run):
+    (mapping,) = blocks(README, "yaml")
+    folder = tmp_path / "conf" / "data"
+    folder.mkdir(parents=True)
+    (folder / "mine.yaml").write_text(mapping)
+    done = run("data", "log.mcap", "data=mine", "--cfg", "job")
+    assert done.returncode == 0 and "/sensors/servo_position_command" in done.stdout, done.stderr
+
+
+def test_an_effect_is_one_file_and_one_yaml(tmp_path, monkeypatch, run):
+    page = text_of("racerl/README.md")
+    (module,) = (block for block in blocks(page, "python") if "class SideWind" in block)
+    (settings,) = (block for block in blocks(page, "yaml") if "side_wind" in block)
+    (tmp_path / "side_wind.py").write_text(module)
+    monkeypatch.setattr(effects, "__path__", [*effects.__path__, str(tmp_path)])
+    folder = tmp_path / "conf" / "vehicle" / "effect"
+    folder.mkdir(parents=True)
+    (folder / "side_wind.yaml").write_text(settings)
+    assert "In words: wind pushes your car." in run("effects", "side_wind").stdout
+    assert "force: 0.5" in run("train", "+vehicle/effect=side_wind", "--cfg", "job").stdout
+    sys.modules.pop("racerl.vehicle.effects.side_wind")
