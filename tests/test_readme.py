@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 
 import racerl.config
+from racerl.choices import choices
 from racerl.cli import app
 from racerl.completion import TWO_WORDS
 from racerl.config import compose_settings
@@ -56,15 +57,22 @@ def test_commands_exist(page):
 
 
 def given(word, folder):
-    """Put what a word names into a folder: a vehicle, a log, or a run."""
+    """Put what a word names into a folder: a vehicle, a log, a run or a map set."""
     key, _, value = word.rpartition("=")
     path = folder / value
     if key in ("vehicle", "real") and path.suffix:
         path.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(conf_folder() / "vehicle" / "published.yaml", path)
+    elif key == "track" and value not in choices("track"):  # one that racerl track add has named
+        path = folder / "conf" / "track" / f"{value}.yaml"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("file: oval.csv\n")
     elif key in ("", "from") and (path.parent != folder or path.suffix or value.isupper()) and not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.touch() if path.suffix else path.mkdir()
+        if not path.suffix:  # a run, or a map set
+            path.mkdir()
+            path /= "centerline.csv"
+        path.touch()
 
 
 @pytest.mark.parametrize("place", [place for place, page in readmes().items() if [*commands(page.read_text())]])
@@ -90,14 +98,14 @@ def test_every_command_is_in_the_readme():
 
 
 def test_choices_exist():
-    choices = [
+    named = [
         conf_folder() / group / f"{choice}.yaml"
         for _, block in BLOCK.findall(README)
         for group, choice in re.findall(r"([a-z_/]+)=([\w./-]+)", block)
         if (conf_folder() / group).is_dir() and "/" not in choice
     ]
-    assert choices
-    assert [path.name for path in choices if not path.is_file()] == []
+    assert named
+    assert [path.name for path in named if not path.is_file()] == []
 
 
 def test_a_centreline_comes_out_of_a_map(tmp_path, monkeypatch):
@@ -116,8 +124,7 @@ def test_a_centreline_comes_out_of_a_map(tmp_path, monkeypatch):
 
 
 def test_the_race_is_a_vector_environment_on_tensors(capsys):
-    page = (ROOT / "racerl" / "README.md").read_text(encoding="utf-8")
-    (recipe,) = (block for kind, block in BLOCKS.findall(page) if kind == "python" and "race.step" in block)
+    (recipe,) = (block for block in blocks(text_of("racerl/README.md"), "python") if "race.step" in block)
     assert len(recipe.splitlines()) <= 12
     left = {}
     exec(compile(recipe, "race.py", "exec"), left)  # noqa: S102
@@ -144,6 +151,7 @@ def test_a_mapping_of_ones_own_is_taken(tmp_path, run):
     folder = tmp_path / "conf" / "data"
     folder.mkdir(parents=True)
     (folder / "mine.yaml").write_text(mapping)
+    (tmp_path / "log.mcap").touch()
     done = run("data", "log.mcap", "data=mine", "--cfg", "job")
     assert done.returncode == 0 and "/sensors/servo_position_command" in done.stdout, done.stderr
 
