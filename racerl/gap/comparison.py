@@ -33,6 +33,7 @@ FOREIGN = 0.1
 REAL = 0.05  # excess cost over the noise's that is real: the noise itself is known to a few percent
 WORSE = 1.05  # times the error before, beyond which it has grown
 ALL, SMALL = 0.75, 0.01  # shares of what is left, and of the first excess, that are not an earlier effect's wrong form
+MOST = 0.5  # the share of what is left where that is more than a wrong form, or another formula, leaves
 LIKE = 0.5  # |cosine| with an effect found before, from which on a small one may mend its form
 
 
@@ -98,13 +99,14 @@ class CandidateScore:
     def _asked_for(self, errors: float) -> bool:
         """Return whether held-out windows ask for the effect, by a gain of so many standard errors.
 
-        A small one beside a large one has to explain most of what that one leaves, and not look like it. Where the
-        excess is no larger than the noise is known, shares of it say nothing, and one effect has to gain the more.
-        Where the fit is at the noise, what held-out windows cost beyond it is what their folds know too badly. Of a
-        tyre of another formula something stays of which an effect of the motion may take a part for its own, but hardly
-        all; and every car is a trifle away from its model.
+        A small one beside a large one has to explain all of what that one leaves, or most of it where much is left, and
+        not look like it. Where the excess is no larger than the noise is known, shares of it say nothing, and one
+        effect has to gain the more. Where the fit is at the noise, what held-out windows cost beyond it is what their
+        folds know too badly. Of a tyre of another formula something stays of which an effect of the motion may take a
+        part for its own, but hardly all; and every car is a trifle away from its model.
         """
-        small = self.explained > ALL and self.worth > SMALL and self.before > REAL and self.like < LIKE
+        share = MOST if self.before > FOREIGN and not self.foreign else ALL
+        small = self.explained > share and self.worth > SMALL and self.before > REAL and self.like < LIKE
         sure = self.before < REAL and self.gain > SURE * self.error and self.found.effects == {self.name}
         left = self.before > 0.0 and self.explained >= WORTH and (self.worth >= WORTH or small)
         if self.foreign:

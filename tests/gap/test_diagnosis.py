@@ -566,6 +566,11 @@ def test_a_small_effect_beside_a_large_one_must_explain_what_is_left_and_not_loo
     assert small.needed and not dataclasses.replace(small, like=0.9).needed
     assert dataclasses.replace(small, like=0.9, worth=0.05).needed
     assert not dataclasses.replace(small, explained=0.5).needed
+    # most of what is left will do where that is more than a wrong form or another formula leaves
+    most = dataclasses.replace(small, explained=0.6)
+    assert most.needed and not dataclasses.replace(most, like=0.9).needed
+    assert not dataclasses.replace(most, before=0.08).needed and dataclasses.replace(small, before=0.08).needed
+    assert not dataclasses.replace(most, foreign=True).needed and dataclasses.replace(small, foreign=True).needed
     assert not dataclasses.replace(small, error=40.0).needed
     # a fit at the noise lacks nothing, whatever its folds cost, unless the gain is beyond doubt
     assert not dataclasses.replace(small, worth=0.05, before=-0.01, error=20.0).needed
