@@ -332,8 +332,7 @@ def tune(
     Writes controller.yaml, which racerl evaluate takes as controller=FILE, and tune.json. Needs Optuna: in your clone,
     pip install -e '.[tune]'
     """
-    words = arguments or []
-    _run("tune", [word if "=" in word or word.startswith("-") else f"controller={word}" for word in words], _tune)
+    _run("tune", arguments, _tune, positional="controller")
 
 
 @app.command(context_settings=HYDRA)
