@@ -194,7 +194,7 @@ def _rewrite(command: str, arguments: Sequence[str], positional: str | None) -> 
     overrides: list[str] = []
     bare: list[str] = []
     groups = set(default_groups(command))
-    filed = _filed(arguments)
+    filed = _filed([*arguments, *(f"{positional}={word}" for word in arguments if "=" not in word)])
     words = iter(arguments)
     for word in words:
         if word.startswith("-"):
@@ -215,7 +215,8 @@ def _rewrite(command: str, arguments: Sequence[str], positional: str | None) -> 
         else:
             overrides += _rewrite_override(word, groups, filed)
     if bare and positional:
-        overrides.append(_bare_override(positional, bare))
+        given = _bare_override(positional, bare)
+        overrides += _rewrite_override(f"{positional}={bare[0]}", groups, filed) if positional in groups else [given]
     return [*options, *overrides]
 
 

@@ -119,6 +119,9 @@ def test_multirun_gives_each_job_its_folder(tmp_path, run):
 def test_cfg_job_prints_the_composed_config(tmp_path, run):
     done = run("train", "--cfg", "job", "+dr=all_0.05")
     assert done.returncode == 0 and "sigma: 0.05" in done.stdout and not list(tmp_path.iterdir())
+    (tmp_path / "mine.yaml").write_text("name: mpc\n")
+    done = run("tune", "mine.yaml", "--cfg", "job")
+    assert done.returncode == 0 and "file: mine.yaml" in done.stdout
     done = run("tune", "mpc", "--cfg", "job")
     assert done.returncode == 0 and "name: mpc" in done.stdout
     done = run("gap", ".", "vehicle=published", "--cfg", "job")  # a log, a choice, then an option

@@ -99,11 +99,11 @@ class CandidateScore:
     def _asked_for(self, errors: float) -> bool:
         """Return whether held-out windows ask for the effect, by a gain of so many standard errors.
 
-        A small one beside a large one has to explain all of what that one leaves, or most of it where much is left, and
-        not look like it. Where the excess is no larger than the noise is known, shares of it say nothing, and one
-        effect has to gain the more. Where the fit is at the noise, what held-out windows cost beyond it is what their
-        folds know too badly. Of a tyre of another formula something stays of which an effect of the motion may take a
-        part for its own, but hardly all; and every car is a trifle away from its model.
+        A small one beside a large one has to explain three quarters of what that one leaves, or half of it where much
+        is left, and not look like it. Where the excess is no larger than the noise is known, shares of it say nothing,
+        and one effect has to gain the more. Where the fit is at the noise, what held-out windows cost beyond it is what
+        their folds know too badly. Of a tyre of another formula something stays of which an effect of the motion may
+        take a part for its own, but hardly all; and every car is a trifle away from its model.
         """
         share = MOST if self.before > FOREIGN and not self.foreign else ALL
         small = self.explained > share and self.worth > SMALL and self.before > REAL and self.like < LIKE

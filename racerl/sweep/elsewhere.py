@@ -1,20 +1,22 @@
 """Jobs that another sweep has finished, on another machine or another day: their rows stand in for those of this one.
 
-A job's name ends with a hash of all its settings, so only what was trained with the very same ones counts. Its laps
-must have been raced from the same starts, as far, and in all cars that are asked for.
+A job's name ends with a hash of all its settings and of the files that they name, so only what was trained with the
+very same ones counts. Its laps must have been raced from the same starts, as far, and in all cars that are asked for.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from racerl.errors import ConfigError, RunError
-from racerl.run import RunFolder
+from racerl.documents import read_json
+from racerl.errors import ConfigError, DocumentError, RunError
+from racerl.run import RunFolder, config_hash
 from racerl.sweep.jobs import Plan
 
+RESULTS = "results.json"
 LAPS, LEARNING, TRAININGS, STEERING = "laps.csv", "learning.csv", "trainings.csv", "steering.csv"
 KEY = ["sweep", "arm", "seed"]
 SAME = ("laps", "starts")  # settings that laps are comparable by
@@ -38,38 +40,64 @@ class Elsewhere:
         origins = []
         for name in folders:
             run = RunFolder.open(Path(name), "sweep")
-            _require_alike(name, run.settings(), settings)
-            found = _tables(run.path, planned, {key: job.path.name for key, job in planned.of.items()})
+            _require_alike(name, run, settings, planned)
+            found = _tables(run.path, {key: identity(job.path.name) for key, job in planned.of.items()})
             if not found:
                 raise ConfigError(
                     f"also = {name}: none of its trainings is one of this sweep's, their settings differ; "
                     "give both the same words and threads="
                 )
-            jobs = {planned.of[key].path.name for key in found.keys() - tables.keys()}
-            origins.append({"jobs": len(jobs), **{key: run.manifest.get(key) for key in ORIGIN}})
-            tables = {**found, **tables}
+            entire = _entire(planned, found) - _entire(planned, tables)
+            own = {key: part for key, part in found.items() if planned.of[key].name in entire}
+            origins.append({"jobs": len(entire), **{key: run.manifest.get(key) for key in ORIGIN}})
+            tables |= own
         return cls(tables, origins)
 
     def has(self, planned: Plan) -> set[str]:
         """Return the names of the jobs whose every arm is here, so that they need not run."""
-        missing = {planned.of[key].name for key in planned.of.keys() - self.tables.keys()}
-        return {job.name for job in planned.jobs} - missing
+        return _entire(planned, self.tables)
+
+
+def _entire(planned: Plan, keys: Collection[Key]) -> set[str]:
+    """Return the names of the jobs of which no arm is missing."""
+    return {job.name for job in planned.jobs} - {job.name for key, job in planned.of.items() if key not in keys}
+
+
+def identity(name: str) -> str:
+    """Return the hash at the end of a job's name; in front stands the arm that came first."""
+    return name.rpartition("-")[2]
+
+
+def raced(planned: Plan) -> dict[str, str]:
+    """Return a hash of every car that is raced in, by name."""
+    races = [(car, race) for job in planned.jobs for (_, car), race in job.races.items()]
+    return {car: config_hash((race.record or race.settings)["car"]) for car, race in races}
 
 
 NOTHING = Elsewhere({}, ())
 
 
-def _require_alike(name: str, theirs: Mapping[str, Any], ours: Mapping[str, Any]) -> None:
+def _require_alike(name: str, run: RunFolder, ours: Mapping[str, Any], planned: Plan) -> None:
+    theirs = run.settings()
     for key in SAME:
         if theirs.get(key) != ours[key]:
             raise ConfigError(f"also = {name}: has {key} = {theirs.get(key)}, this sweep {ours[key]}; make them equal")
-    raced = [*theirs.get("cars", ()), *theirs.get("twins", ())]
-    for car in (*ours["cars"], *ours["twins"]):
-        if car not in raced:
+    if not (run.path / RESULTS).is_file():
+        raise ConfigError(f"also = {name}: has no {RESULTS}; run that sweep on until it ends")
+    try:
+        cars = read_json(run.path / RESULTS).get("cars", {})
+    except DocumentError as error:
+        raise RunError(f"also = {name}: {error}") from error
+    for car, content in raced(planned).items():
+        if car not in cars:
             raise ConfigError(f"also = {name}: did not race in {car}; leave it out (cars=, twins=) or race it there")
+        if cars[car] != content:
+            raise ConfigError(
+                f"also = {name}: raced in another {car} than conf/car/{car}.yaml is now; sweep there again"
+            )
 
 
-def _tables(folder: Path, planned: Plan, jobs: Mapping[Key, str]) -> dict[Key, Tables]:
+def _tables(folder: Path, jobs: Mapping[Key, str]) -> dict[Key, Tables]:
     """Return the tables of the planned keys whose job a sweep's folder has finished."""
     try:
         trainings = _read(folder / TRAININGS)
@@ -78,7 +106,7 @@ def _tables(folder: Path, planned: Plan, jobs: Mapping[Key, str]) -> dict[Key, T
             for name in (LAPS, LEARNING, STEERING)
             if (folder / name).is_file()
         }
-        own = {key: rows for key, rows in trainings.groupby(KEY) if jobs.get(key) == rows["job"].iloc[0]}
+        own = {key: rows for key, rows in trainings.groupby(KEY) if jobs.get(key) == identity(rows["job"].iloc[0])}
         return {
             key: {
                 TRAININGS: rows,
@@ -92,4 +120,6 @@ def _tables(folder: Path, planned: Plan, jobs: Mapping[Key, str]) -> dict[Key, T
 
 def _read(path: Path) -> pd.DataFrame:
     """Return a table; what is not trained has the policy ""."""
-    return pd.read_csv(path, dtype={"policy": str}).fillna({"policy": ""})
+    words = dict.fromkeys(("policy", "sweep", "arm", "job", "car"), str)  # an arm may be called 0.02, or NA
+    table = pd.read_csv(path, dtype=words, keep_default_na=False, na_values=[""])
+    return table.fillna({"policy": ""})

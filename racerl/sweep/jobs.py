@@ -16,6 +16,7 @@ from typing import Any
 from racerl.control.policy import UNREFINED
 from racerl.run import Compose, config_hash, is_complete
 from racerl.sweep.definition import Sweep
+from racerl.vehicle.cars import CARS
 
 UNTRAINED = -1  # stands for the seed of what is not trained
 LEARNED, REFINED = "learned", "refined"  # policies of one training
@@ -126,7 +127,8 @@ def _training(
 ) -> Job:
     own = [*map(str, settings["words"]), f"threads={settings['threads']}", f"seed={seed}"]
     train = compose("train", [*words, *own])
-    path = out / "jobs" / f"{arm}-{seed}-{config_hash(train)[:6]}"
+    files = _contents(_read_by(train))
+    path = out / "jobs" / f"{arm}-{seed}-{config_hash({**train, 'files': files} if files else train)[:6]}"
     trained, races = path / "train", {}
     refined = train["budget"].get("refinement")
     for policy, run in {LEARNED: trained / UNREFINED, REFINED: trained}.items() if refined else [(LEARNED, trained)]:
@@ -143,7 +145,7 @@ def _rival(
     stage = next(STAGES[key] for word in own if (key := _key(word)) in STAGES)
     said = {_key(word) for word in own}
     words = [*(word for word in base if _group(word) in WORLD[stage] and _key(word) not in said), *own]
-    path = out / "jobs" / f"{arm}-{config_hash({**compose(stage, words), 'files': _contents(words)})[:6]}"
+    path = out / "jobs" / f"{arm}-{config_hash({**compose(stage, words), 'files': _contents(_named(words))})[:6]}"
     laps, starts = settings["laps"], list(settings["starts"])
     races = {}
     for car in settings["cars"]:
@@ -171,7 +173,16 @@ def _group(word: str) -> str:
     return _key(word).partition(".")[0].partition("/")[0]
 
 
-def _contents(words: Sequence[str]) -> list[str]:
-    """Return hashes of the files that words name, so that another content makes another job."""
-    paths = [Path(word.partition("=")[2]) for word in words]
+def _named(words: Sequence[str]) -> list[Path]:
+    return [Path(word.partition("=")[2]) for word in words]
+
+
+def _read_by(train: Mapping[str, Any]) -> list[Path]:
+    """Return the files that a training's settings name: its vehicle, its track, the cars that it draws from."""
+    vehicle, track, cars = train["vehicle"].get("file"), train["track"].get("file"), train["dr"].get("cars")
+    return [*(Path(each) for each in (vehicle, track) if each), *([Path(cars) / CARS] if cars else [])]
+
+
+def _contents(paths: Sequence[Path]) -> list[str]:
+    """Return hashes of the files that are there, so that another content makes another job."""
     return [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths if path.is_file()]

@@ -19,13 +19,12 @@ from racerl.documents import read_json, write_json, write_text
 from racerl.errors import ConfigError, RunError
 from racerl.run import MANIFEST, Compose, RunFolder
 from racerl.sweep.definition import TWIN, Sweep, read_sweeps
-from racerl.sweep.elsewhere import KEY, LAPS, LEARNING, NOTHING, STEERING, TRAININGS, Elsewhere, Key
+from racerl.sweep.elsewhere import KEY, LAPS, LEARNING, NOTHING, RESULTS, STEERING, TRAININGS, Elsewhere, Key, raced
 from racerl.sweep.engine import LOGS, Engine, Status, alone
 from racerl.sweep.jobs import Job, Plan, plan, policies
 from racerl.sweep.measures import LAP, arrivals, final_reward, learning, measure, usual_steering
 from racerl.sweep.statistics import Samples, judge, resample
 
-RESULTS = "results.json"
 POINTS = 200  # of a learning curve
 USUAL_LAPS, TRIAL_LAPS = 20, 2  # flying laps of each start, where none are asked for
 
@@ -50,7 +49,7 @@ def sweep(
     elsewhere = Elsewhere.read(settings["also"], planned, settings)
     there = elsewhere.has(planned)
     engine = Engine(settings["engine"], settings["threads"], out)
-    decisive = {key: value for key, value in settings.items() if key != "engine"}
+    decisive = {key: value for key, value in settings.items() if key not in ("engine", "also")}
     folder = RunFolder.start(out, "sweep", decisive, again=True, threads=settings["threads"])
     with alone(out):
         missing = [job for job in planned.jobs if job.name not in there]
@@ -134,6 +133,7 @@ def summarise(
         ),
         "trial_steps": planned.trial_steps,
         "jobs": {"planned": len(planned.jobs), "done": sum(job.done or job.name in there for job in planned.jobs)},
+        "cars": raced(planned),
         "also": list(elsewhere.origins),
         "failed": dict(failed),
     }

@@ -87,9 +87,10 @@ def _check_bends(track: Track, turning_radius: float, found: Findings) -> None:
     found.marked["tighter than this car turns"] = tight
     outside = np.where(track.curvature > 0, track.width_right, track.width_left)
     hopeless = curvature * (turning_radius - outside) > 1.0  # 1/|κ| + width < radius
-    worst = int(curvature.argmax())
+    kinked = (curvature * hopeless).sum() * track.spacing > BEND
+    worst = int((curvature * hopeless if kinked else curvature).argmax())
     told = f"turns on a radius of {1 / curvature[worst]:.2f} m at s = {_at(track, worst):g} m, "
-    if (curvature * hopeless).sum() * track.spacing > BEND:
+    if kinked:
         outer = 1 / curvature[worst] + outside[worst]
         told += f"{outer:.2f} m along its outer edge, this car on {turning_radius:.2f} m or more; widen it there"
         found.problems.append(told)

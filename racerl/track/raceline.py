@@ -35,7 +35,7 @@ def read_raceline(path: Path) -> pd.DataFrame:
     """Return those of COLUMNS that a raceline has, a row per point, the first not repeated; TrackError otherwise."""
     names, rows = _parse(read_text(path))
     names = names or (list(COLUMNS) if rows and len(rows[0]) == len(COLUMNS) else [])
-    if not set(NEEDED) <= {*names}:
+    if not set(NEEDED) <= {*names} or len({*names}) < len(names):
         raise TrackError(f"{path}: no TUM raceline ({'; '.join(COLUMNS)}); a header may name its columns so")
     try:
         table = pd.DataFrame(np.array([[float(cell) for cell in row] for row in rows]), columns=names)
@@ -43,9 +43,8 @@ def read_raceline(path: Path) -> pd.DataFrame:
         raise TrackError(f"{path}: no TUM raceline ({len(names)} numbers in each row are expected): {error}") from error
     line = table[[name for name in COLUMNS if name in names]]
     x, y = line["x_m"].to_numpy(), line["y_m"].to_numpy()
-    if len(line) > 1 and np.hypot(x[-1] - x[0], y[-1] - y[0]) <= SAME:
-        line = line.iloc[:-1]
-    length = np.hypot(np.diff(x), np.diff(y)).sum()
+    ways = np.hypot(np.roll(x, -1) - x, np.roll(y, -1) - y)  # to the next point, the last one's to the first
+    line, length = line[~(ways <= SAME)], ways[:-1].sum()
     if len(line) < FEWEST or not np.isfinite(line).all(axis=None) or (line["vx_mps"] <= 0).any() or length < SHORTEST:
         raise TrackError(
             f"{path}: {FEWEST} points or more with positive speeds over {SHORTEST:g} m are expected of a raceline"
@@ -64,7 +63,7 @@ def is_raceline(path: Path) -> bool:
     names, _ = _parse(text)
     first = next((row for line in text.splitlines() if (row := line.partition("#")[0].strip())), "")
     unnamed = ";" in first and _numeric(_cells(first)) == len(COLUMNS)
-    return {*NEEDED, "s_m"} <= {*names} or unnamed
+    return {*NEEDED} <= {*names} or unnamed
 
 
 def drive_along(line: pd.DataFrame, laps: float, rate: float) -> pd.DataFrame:

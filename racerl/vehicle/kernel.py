@@ -16,6 +16,7 @@ from typing import Any, cast
 import torch
 from torch import Tensor
 
+from racerl.errors import VehicleError
 from racerl.vehicle.bodies import BodyMotion
 from racerl.vehicle.codegen import precision, statements
 from racerl.vehicle.compiler import build
@@ -247,6 +248,8 @@ def choose_motion(
     vehicle: Vehicle, names: Sequence[str], dt: float, steps: int, device: torch.device, dtype: torch.dtype
 ) -> Motion:
     """Return the fastest motion that this machine can run, for a car whose named parameters differ between cars."""
+    if vehicle.body and device.type != "cpu":
+        raise VehicleError(f"vehicle.body = {vehicle.body}: is driven on the CPU; give device=cpu")
     if vehicle.body:
         return BodyMotion(vehicle, names, dt * steps)
     reference = TorchMotion(vehicle, names, dt, steps)

@@ -53,7 +53,9 @@ def load_vehicle(settings: Mapping[str, Any], drive: str = "wheel_speed", actuat
 
 
 def _check_body(name: Any) -> str:
-    if name and name not in registry.choices(bodies_package):
+    if name is None:
+        return ""
+    if name != "" and name not in registry.choices(bodies_package):
         raise VehicleError(f"vehicle.body = {name}: is unknown{suggest(str(name), registry.choices(bodies_package))}")
     return str(name)
 

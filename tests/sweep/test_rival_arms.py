@@ -1,6 +1,7 @@
 """Arms that train nothing: one job for all seeds, rows beside those of policies, and the pages that show them."""
 
 import dataclasses
+import json
 import re
 import shutil
 
@@ -127,10 +128,53 @@ def test_laps_of_another_race_do_not_stand_in(planned, tmp_path, changes, said):
         elsewhere(dataclasses.replace(planned, sweeps=[mine]), tmp_path, **changes)
 
 
-def test_a_damaged_table_is_told(planned, tmp_path):
+def copy_of(planned, tmp_path):
+    """The first sweep's folder, without its jobs."""
     first = planned.jobs[0].path.parent.parent
     summarise(planned, SETTINGS, first, {})
-    copied = shutil.copytree(first, tmp_path / "copy", ignore=shutil.ignore_patterns("jobs"))
+    return shutil.copytree(first, tmp_path / "copy", ignore=shutil.ignore_patterns("jobs"))
+
+
+@pytest.mark.parametrize(
+    "change, said",
+    [
+        (lambda facts: facts["cars"].update(twin="0"), "raced in another twin"),
+        (lambda facts: facts["cars"].pop("twin"), "did not race in twin"),
+    ],
+)
+def test_cars_of_the_same_name_and_other_numbers_are_others(planned, tmp_path, change, said):
+    copied = copy_of(planned, tmp_path)
+    facts = json.loads((copied / "results.json").read_text())
+    change(facts)
+    (copied / "results.json").write_text(json.dumps(facts))
+    with pytest.raises(RacerlError, match=said):
+        Elsewhere.read([str(copied)], planned, SETTINGS)
+
+
+def test_a_sweep_that_has_not_ended_is_told(planned, tmp_path):
+    copied = copy_of(planned, tmp_path)
+    (copied / "results.json").unlink()
+    with pytest.raises(RacerlError, match="run that sweep on until it ends"):
+        Elsewhere.read([str(copied)], planned, SETTINGS)
+
+
+def test_arms_may_have_any_name_and_jobs_that_of_another_arm(planned, tmp_path):
+    copied = copy_of(planned, tmp_path)
+    for name in (LAPS, TRAININGS):
+        table = pd.read_csv(copied / name, dtype=str, keep_default_na=False)
+        table["arm"] = table["arm"].replace({"human": "NA", "pursuit": "0.02"})
+        if "job" in table:
+            table["job"] = "other-" + table["job"].str.rpartition("-")[2]
+        table.to_csv(copied / name, index=False)
+    named = {"NA": "human", "0.02": "pursuit", "human_like": "human_like"}
+    arms = {arm: planned.sweeps[0].arms[was] for arm, was in named.items()}
+    again = plan([dataclasses.replace(planned.sweeps[0], arms=arms)], SETTINGS, tmp_path / "second", compose_settings)
+    found = Elsewhere.read([str(copied)], again, SETTINGS)
+    assert found.has(again) == set(arms) and found.origins[0]["jobs"] == 3
+
+
+def test_a_damaged_table_is_told(planned, tmp_path):
+    copied = copy_of(planned, tmp_path)
     (copied / LAPS).write_text("not,a,table\n1,2,3\n")
     with pytest.raises(RacerlError, match="is damaged"):
         Elsewhere.read([str(copied)], planned, SETTINGS)

@@ -15,6 +15,7 @@ from types import SimpleNamespace
 import pytest
 
 from racerl.config import compose_settings, gather_words
+from racerl.documents import conf_folder
 from racerl.errors import RacerlError
 from racerl.sweep import engine
 from racerl.sweep.definition import read_sweeps
@@ -141,6 +142,18 @@ def test_arms_of_the_same_name_and_other_words_are_jobs_of_their_own(tmp_path):
 
 
 @pytest.mark.slow
+def test_another_content_of_a_file_is_another_job(tmp_path):
+    text = (conf_folder() / "vehicle" / "published.yaml").read_text()
+    settings = {**compose_settings("sweep", ["name=actuator_model", "seeds=[0]", "cars=[model]"]), "laps": 1}
+    settings |= {"words": [f"vehicle={tmp_path / 'mine.yaml'}", "budget=smoke"]}
+    names = []
+    for mass in ("5.1", "5.2", "5.1"):
+        (tmp_path / "mine.yaml").write_text(text.replace("mass: 5.1 ", f"mass: {mass} "))
+        made = plan(read_sweeps("actuator_model"), settings, tmp_path, compose_settings)
+        names.append(sorted(job.path.name for job in made.jobs))
+    assert names[0] == names[2] and not set(names[0]) & set(names[1])
+
+
 def test_a_job_that_fails_takes_no_other_along(place, run):
     out = place / "failing"
     words = [f"out={out}", "engine.jobs=1", "engine.retries=0", "cars=[model]"]

@@ -124,3 +124,19 @@ def test_a_raceline_is_scored_and_set_beside_a_driver(file, tmp_path):
     assert "line.csv" in page.read_text() and (tmp_path / "duel" / "compare.svg").is_file()
     with pytest.raises(RacerlError, match="say on which track"):
         evaluate(compose_settings("evaluate", [f"run='{file}'"]), tmp_path / "nowhere")
+
+
+def test_points_that_stand_twice_count_once_and_columns_may_not(file, tmp_path):
+    line, rows = read_raceline(file), file.read_text().splitlines()
+    head, points = rows[:3], rows[3:]
+    (tmp_path / "twice.csv").write_text("\n".join([*head, points[0], *points, points[-1]]) + "\n")
+    pd.testing.assert_frame_equal(read_raceline(tmp_path / "twice.csv").reset_index(drop=True), line, atol=1e-6)
+    assert len(drive_along(read_raceline(tmp_path / "twice.csv"), 1.0, 50.0))
+    (tmp_path / "names.csv").write_text("x_m;y_m;vx_mps;x_m\n" + "\n".join(f"{k};{k};1;1" for k in range(20)))
+    with pytest.raises(TrackError, match="no TUM raceline"):
+        read_raceline(tmp_path / "names.csv")
+
+
+def test_three_columns_make_one(tmp_path):
+    (tmp_path / "line.csv").write_text("# x_m;y_m;vx_mps\n" + "\n".join(f"{k};{k * k};1" for k in range(20)))
+    assert is_raceline(tmp_path / "line.csv") and len(read_raceline(tmp_path / "line.csv")) == 20

@@ -17,6 +17,7 @@ from racerl.optimum.floor import problem_hash
 from racerl.record.record import record
 from racerl.vehicle.bodies import BodyMotion, commonroad_mb
 from racerl.vehicle.bodies.commonroad_mb import CommonroadMb, scaled
+from racerl.vehicle.kernel import choose_motion
 from racerl.vehicle.load import load_vehicle
 from racerl.vehicle.ops import TORCH
 
@@ -113,6 +114,23 @@ def motion_of_the_first(kept, command):
     return state
 
 
+@pytest.mark.parametrize("v_x, v_y, yaw_rate", [(0.3, 0.0, 8.0), (-1.0, 0.0, 1.0), (1.0, 3.0, 12.0)])
+def test_what_its_source_has_no_answer_for_is_a_failed_car_and_ends_nothing(v_x, v_y, yaw_rate):
+    motion = BodyMotion(vehicle(), (), 0.02)
+    state = torch.tensor([[0.0, 0.0, 0.0, v_x, v_y, yaw_rate, 0.0, 1.0], [0.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 2.0]]).T
+    moved = motion(state, torch.tensor([[0.3, 0.0], [1.0, 2.0]]), torch.zeros(0, 2))
+    assert bool(moved[:, 0].isnan().all()) and bool(moved[:, 1].isfinite().all())
+    again = motion(torch.where(moved.isnan(), state[:, 1:], moved), torch.zeros(2, 2), torch.zeros(0, 2))
+    assert bool(again.isfinite().all())  # started over, as a race does
+
+
+def test_effects_of_sensors_and_delays_go_with_it_and_no_body_is_none():
+    asked = settings()["vehicle"] | {"body": "commonroad_mb"}
+    shown = {"steering_sensor_offset": {"offset": 0.02}, "steering_delay": {"delay": 0.02}}
+    assert BodyMotion(load_vehicle(asked | {"effects": shown}), (), 0.02)
+    assert load_vehicle(asked | {"body": None}).body == ""
+
+
 def test_it_races(tmp_path):
     asked = settings()
     asked = {**compose_settings("train"), "vehicle": Car(**asked["car"]).wear(asked["vehicle"])}
@@ -142,6 +160,7 @@ def test_it_is_recorded_and_says_so(tmp_path):
         (lambda: vehicle().derivative(torch.zeros(8, 1), torch.zeros(2, 1), TORCH), "not fitted, optimised"),
         (lambda: BodyMotion(vehicle(), ["friction"], 0.02), "friction cannot be drawn"),
         (lambda: BodyMotion(vehicle().without_actuators(), (), 0.02), "give sim=default"),
+        (lambda: choose_motion(vehicle(), (), 0.01, 2, torch.device("cuda"), torch.float32), "give device=cpu"),
         (lambda: load_vehicle(settings()["vehicle"] | {"body": "commonroad"}), "did you mean commonroad_mb"),
         (
             lambda: BodyMotion(

@@ -47,7 +47,8 @@ class Records(KVWriter):
 
     def write(self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0) -> None:
         """Write one record of the logger."""
-        numbers = {k: float(v) for k, v in sorted(key_values.items()) if "tensorboard" not in key_excluded[k]}
+        given = sorted(key for key in key_values if "tensorboard" not in key_excluded[key])
+        numbers = {key: float(key_values[key]) for key in given if not isinstance(key_values[key], str)}
         if self.broken or not numbers:
             return
         try:

@@ -4,6 +4,7 @@ One module each, named as `vehicle.body` names it. Its class is built from the c
 what both have (wheelbase, mass, actuators); its own numbers stand in its file.
 """
 
+import inspect
 from collections.abc import Sequence
 from typing import Any, Protocol
 
@@ -15,7 +16,13 @@ from torch import Tensor
 from racerl import registry
 from racerl.errors import VehicleError
 from racerl.vehicle import bodies as package
+from racerl.vehicle.effects import Effect
 from racerl.vehicle.vehicle import Vehicle
+
+OUTSIDE = ("delays", "measure", "latencies", "key")  # of an effect's hooks, those that no equation of motion calls
+WITHIN = [
+    name for name, hook in vars(Effect).items() if inspect.isfunction(hook) and name[0] != "_" and name not in OUTSIDE
+]
 
 
 class Body(Protocol):
@@ -35,7 +42,7 @@ def create_body(vehicle: Vehicle) -> Body:
     """Return the body that a vehicle names; raise ConfigError or VehicleError where it cannot be driven."""
     body: Body = registry.lookup(package, vehicle.body)(vehicle)
     for name, effect in vehicle.effects.items():
-        if not effect.delays() and not effect.latencies():
+        if any(getattr(type(effect), hook) is not getattr(Effect, hook) for hook in WITHIN):
             raise VehicleError(f"vehicle.effects.{name} acts on the single-track car, not on body {vehicle.body}")
     return body
 
@@ -61,6 +68,10 @@ class BodyMotion:
         """Return the state (8,) of one car after one step."""
         if car not in self._own or not np.array_equal(self._left[car], state):
             self._own[car] = self.body.begin(state.tolist())
-        self._own[car] = self.body.advance(self._own[car], (command[0], command[1]), self.seconds)
+        try:
+            self._own[car] = self.body.advance(self._own[car], (command[0], command[1]), self.seconds)
+        except (ArithmeticError, ValueError):  # its equations have no answer here: a failed car, as others fail
+            del self._own[car]
+            return np.full_like(state, np.nan)
         self._left[car] = np.array(self.body.show(self._own[car]), dtype=state.dtype)
         return self._left[car].copy()

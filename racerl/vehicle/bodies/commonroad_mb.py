@@ -10,7 +10,7 @@ wheelbase of 0.33 m it weighs on its tyres like an F1TENTH car, rolls at 3° and
 
 Ours in it: the configured actuators (steering δ̇ = (δ_ref − δ)/T; a torque that asks for the acceleration
 (ω_ref − ω)/T, ω the mean of the wheels), split evenly over four wheels by open differentials, and no limit but
-CommonRoad's acceleration of 11.5 m/s².
+CommonRoad's acceleration of 11.5 m/s². A wheel that rolls backwards has no slip in the source: such a car fails.
 """
 
 import importlib.util
