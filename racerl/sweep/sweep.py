@@ -46,7 +46,7 @@ def sweep(
     settings = {**settings, "laps": flying_laps(settings, trial), "cars": _cars(sweeps, settings)}
     settings |= {"twins": _twins(sweeps, settings, trial)}
     planned = plan(sweeps, {**settings, "cars": [*settings["cars"], *settings["twins"]]}, out, compose)
-    elsewhere = Elsewhere.read(settings["also"], planned, settings)
+    elsewhere = Elsewhere.read(settings.get("also", []), planned, settings)
     there = elsewhere.has(planned)
     engine = Engine(settings["engine"], settings["threads"], out)
     decisive = {key: value for key, value in settings.items() if key not in ("engine", "also")}
@@ -99,7 +99,7 @@ def check(settings: Mapping[str, Any]) -> None:
         bounds.whole("laps", settings["laps"], 1, 10_000)
     for key in ("seeds", "starts"):
         bounds.wholes(key, settings[key], 0, 2**31 - 1)
-    also = settings["also"]
+    also = settings.get("also", [])
     if not isinstance(also, list) or not all(isinstance(folder, str) for folder in also):
         raise ConfigError(f"also = {also}: a list of sweeps' folders is expected")
     for key in ("cars", "twins"):
