@@ -646,7 +646,8 @@ def _sweep(settings: "Settings", out: Path) -> None:
     from racerl.console import Board
     from racerl.report.sweep_page import draw_sweep
     from racerl.sweep import conclusions
-    from racerl.sweep.sweep import RESULTS, sweep
+    from racerl.sweep.sweep import sweep
+    from racerl.sweep.tables import RESULTS
 
     console = _console()
     with Board(console) as board:

@@ -27,8 +27,8 @@ from racerl.optimum.optimum import optimum
 from racerl.record.record import record
 from racerl.report.track import show_track
 from racerl.run import CONFIG, MANIFEST, Compose, RunFolder, is_complete
-from racerl.sweep.elsewhere import TRAININGS as TABLE
 from racerl.sweep.sweep import sweep
+from racerl.sweep.tables import TRAININGS as TABLE
 from racerl.train.checkpoint import FILE as TRAINING
 from racerl.train.close import close
 from racerl.train.refinement import FILE as REFINING

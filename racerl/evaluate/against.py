@@ -23,11 +23,10 @@ def drive_against_floor(
 ) -> tuple[list[Lap], float | None]:
     """Drive all cars for so many laps; return those, and the time-optimal lap in s of the `vehicle` that they drove.
 
-    It is only looked for where nobody did before and a lap was finished, which there is something to compare with; not
-    for a foreign body, of which no least time is known.
+    It is only looked for where nobody did before and a lap was finished, which there is something to compare with.
     """
-    floor = None if vehicle.body else kept.known(vehicle, race.track, race.action)
-    driving = 1.0 if floor or vehicle.body else DRIVING
+    floor = kept.known(vehicle, race.track, race.action)
+    driving = 1.0 if floor else DRIVING
     driven = drive(
         race,
         controller,
@@ -35,7 +34,7 @@ def drive_against_floor(
         recorder,
         lambda fewest: on_progress(driving * min(fewest, laps) / laps, f"lap {min(fewest, laps)} of {laps}"),
     )
-    if floor is None and not vehicle.body and any(lap.time_s for lap in driven):
+    if floor is None and any(lap.time_s for lap in driven):
         on_progress(DRIVING, FINDING)
         floor = kept.found(
             vehicle, race.track, race.action, lambda share: on_progress(DRIVING + (1.0 - DRIVING) * share, FINDING)

@@ -57,13 +57,13 @@ def write_outcome(
     write_parquet(folder.path / TRAJECTORIES, drive)
     if race:
         write_failures(folder.path, [race])
-    write_text(folder.path / TRACK, track_table(track))
+    write_text(folder.path / TRACK, track_table(track).to_csv(index=False, float_format="%.5f"))
     write_json(folder.path / METRICS, metrics)
     return metrics
 
 
-def track_table(track: Track) -> str:
-    """Return centreline and boundaries as CSV."""
+def track_table(track: Track) -> pd.DataFrame:
+    """Return centreline and boundaries in m, as a run's file has them."""
     s = np.arange(len(track.x)) * track.spacing
     (left_x, left_y), (right_x, right_y) = track.boundary(1), track.boundary(-1)
     columns = {
@@ -76,4 +76,4 @@ def track_table(track: Track) -> str:
         "right_y_m": right_y,
         "curvature_1_m": track.curvature,
     }
-    return pd.DataFrame(columns).to_csv(index=False, float_format="%.5f")
+    return pd.DataFrame(columns).round(5)

@@ -90,7 +90,9 @@ def _warn(text: str) -> None:
 
 
 def _path(vehicle: Vehicle, track: Track, action: Action) -> Path:
-    """Return the file of a problem."""
+    """Return the file of a problem; raise OptimumError for a foreign body, whose equations are not known here."""
+    if vehicle.body:
+        raise OptimumError(f"of body {vehicle.body} no least lap time is known")
     z, u, kappa = casadi.SX.sym("z", len(scales(vehicle, action))), casadi.SX.sym("u", 2), casadi.SX.sym("k")
     speed, rows = motion(vehicle, action, z, u, kappa)
     equations = casadi.Function("motion", [z, u, kappa], [casadi.vertcat(speed, *rows)]).serialize()

@@ -20,12 +20,13 @@ from racerl.report.subjects import Evaluation, find_subjects
 from racerl.run import RunFolder
 from racerl.sweep.conclusions import POLICIES, banner, grouped, headline, of
 from racerl.sweep.definition import METRICS, OF_TRAINING, TWIN
-from racerl.sweep.elsewhere import LAPS, LEARNING, STEERING, TRAININGS
 from racerl.sweep.jobs import policies
 from racerl.sweep.statistics import power, told
-from racerl.sweep.sweep import RESULTS, of_policy
+from racerl.sweep.sweep import of_policy
+from racerl.sweep.tables import LAPS, LEARNING, RESULTS, STEERING, TRAININGS, read_table
 
 CURVE = ["sweep", "arm", "seed", "steps", "reward"]  # columns of a learning curve; a sweep of rivals has none
+TURNING = ["sweep", "arm", "policy"]  # of steering along the track, where no sweep asks for it
 CURVES = ("track_representation", "action_space")  # sweeps whose arms the paper's Fig. 4 shows
 DRIVERS, DUELS = "controllers", (("rl_geometric", "human"), ("rl_geometric", "mpc"))
 
@@ -47,14 +48,10 @@ class Findings:
         return cls(
             folder,
             read_json(folder / RESULTS),
-            _with_policy(pd.read_csv(folder / LAPS, dtype={"policy": str})),
-            _with_policy(pd.read_csv(folder / TRAININGS, dtype={"policy": str})),
-            pd.read_csv(folder / LEARNING) if (folder / LEARNING).is_file() else pd.DataFrame(columns=CURVE),
-            _with_policy(
-                pd.read_csv(folder / STEERING)
-                if (folder / STEERING).is_file()
-                else pd.DataFrame(columns=["sweep", "arm"])
-            ),
+            read_table(folder / LAPS),
+            read_table(folder / TRAININGS),
+            read_table(folder / LEARNING) if (folder / LEARNING).is_file() else pd.DataFrame(columns=CURVE),
+            read_table(folder / STEERING) if (folder / STEERING).is_file() else pd.DataFrame(columns=TURNING),
         )
 
     def arms(self, sweep: str) -> list[dict[str, Any]]:
@@ -86,11 +83,6 @@ class Findings:
     def cars(self) -> list[str]:
         """Cars that were raced in."""
         return list(dict.fromkeys(row["car"] for row in self.facts["arms"]))
-
-
-def _with_policy(table: pd.DataFrame) -> pd.DataFrame:
-    """Return a table whose rows name their policy, "" where none is known: older sweeps had one alone."""
-    return table.fillna({"policy": ""}) if "policy" in table else table.assign(policy="")
 
 
 def draw_sweep(run: Path) -> Path:

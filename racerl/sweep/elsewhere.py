@@ -15,10 +15,8 @@ from racerl.documents import read_json
 from racerl.errors import ConfigError, DocumentError, RunError
 from racerl.run import RunFolder, config_hash
 from racerl.sweep.jobs import Plan
+from racerl.sweep.tables import KEY, LAPS, LEARNING, RESULTS, STEERING, TRAININGS, read_table
 
-RESULTS = "results.json"
-LAPS, LEARNING, TRAININGS, STEERING = "laps.csv", "learning.csv", "trainings.csv", "steering.csv"
-KEY = ["sweep", "arm", "seed"]
 SAME = ("laps", "starts")  # settings that laps are comparable by
 ORIGIN = ("git_sha", "cpu", "threads")  # of the other sweep
 
@@ -70,8 +68,8 @@ def identity(name: str) -> str:
 
 def raced(planned: Plan) -> dict[str, str]:
     """Return a hash of every car that is raced in, by name."""
-    races = [(car, race) for job in planned.jobs for (_, car), race in job.races.items()]
-    return {car: config_hash((race.record or race.settings)["car"]) for car, race in races}
+    cars = {car: (race.record or race.settings)["car"] for job in planned.jobs for (_, car), race in job.races.items()}
+    return {name: config_hash(car) for name, car in cars.items()}
 
 
 NOTHING = Elsewhere({}, ())
@@ -100,9 +98,9 @@ def _require_alike(name: str, run: RunFolder, ours: Mapping[str, Any], planned: 
 def _tables(folder: Path, jobs: Mapping[Key, str]) -> dict[Key, Tables]:
     """Return the tables of the planned keys whose job a sweep's folder has finished."""
     try:
-        trainings = _read(folder / TRAININGS)
+        trainings = read_table(folder / TRAININGS)
         others = {
-            name: dict(list(_read(folder / name).groupby(KEY)))
+            name: dict(list(read_table(folder / name).groupby(KEY)))
             for name in (LAPS, LEARNING, STEERING)
             if (folder / name).is_file()
         }
@@ -116,10 +114,3 @@ def _tables(folder: Path, jobs: Mapping[Key, str]) -> dict[Key, Tables]:
         }
     except (KeyError, OSError, ValueError) as error:
         raise RunError(f"also = {folder}: is damaged ({' '.join(str(error).split())}); sweep there again") from error
-
-
-def _read(path: Path) -> pd.DataFrame:
-    """Return a table; what is not trained has the policy ""."""
-    words = dict.fromkeys(("policy", "sweep", "arm", "job", "car"), str)  # an arm may be called 0.02, or NA
-    table = pd.read_csv(path, dtype=words, keep_default_na=False, na_values=[""])
-    return table.fillna({"policy": ""})

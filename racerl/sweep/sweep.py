@@ -19,11 +19,12 @@ from racerl.documents import read_json, write_json, write_text
 from racerl.errors import ConfigError, RunError
 from racerl.run import MANIFEST, Compose, RunFolder
 from racerl.sweep.definition import TWIN, Sweep, read_sweeps
-from racerl.sweep.elsewhere import KEY, LAPS, LEARNING, NOTHING, RESULTS, STEERING, TRAININGS, Elsewhere, Key, raced
+from racerl.sweep.elsewhere import NOTHING, Elsewhere, Key, raced
 from racerl.sweep.engine import LOGS, Engine, Status, alone
 from racerl.sweep.jobs import Job, Plan, plan, policies
 from racerl.sweep.measures import LAP, arrivals, final_reward, learning, measure, usual_steering
 from racerl.sweep.statistics import Samples, judge, resample
+from racerl.sweep.tables import KEY, LAPS, LEARNING, RESULTS, STEERING, TRAININGS
 
 POINTS = 200  # of a learning curve
 USUAL_LAPS, TRIAL_LAPS = 20, 2  # flying laps of each start, where none are asked for

@@ -44,11 +44,16 @@ class Centreline(NamedTuple):
         return "\n".join([HEADER, *(",".join(f"{value:.4f}" for value in row) for row in rows)]) + "\n"
 
 
+def cells(text: str) -> list[str]:
+    """Return what commas, semicolons or blanks separate."""
+    return text.replace(",", " ").replace(";", " ").split()
+
+
 def read_centreline(path: Path) -> Centreline:
     """Read a centreline CSV; raise TrackError or DocumentError."""
     rows = []
     for number, line in enumerate(read_text(path).splitlines(), start=1):
-        fields = line.split("#", 1)[0].replace(",", " ").replace(";", " ").split()
+        fields = cells(line.split("#", 1)[0])
         if not fields:
             continue
         try:

@@ -13,6 +13,7 @@ from scipy.interpolate import CubicSpline
 
 from racerl.documents import read_text, require_content
 from racerl.errors import DocumentError, TrackError
+from racerl.track.centreline import cells
 
 COLUMNS = ("s_m", "x_m", "y_m", "psi_rad", "kappa_radpm", "vx_mps", "ax_mps2")
 NEEDED = ("x_m", "y_m", "vx_mps")
@@ -62,7 +63,7 @@ def is_raceline(path: Path) -> bool:
         return False
     names, _ = _parse(text)
     first = next((row for line in text.splitlines() if (row := line.partition("#")[0].strip())), "")
-    unnamed = ";" in first and _numeric(_cells(first)) == len(COLUMNS)
+    unnamed = ";" in first and _numeric(cells(first)) == len(COLUMNS)
     return {*NEEDED} <= {*names} or unnamed
 
 
@@ -85,22 +86,18 @@ def _parse(text: str) -> tuple[list[str], list[list[str]]]:
     rows: list[list[str]] = []
     for line in text.splitlines():
         content, _, comment = line.partition("#")
-        cells = _cells(content)
-        header = _cells(comment.partition("#")[0]) if not cells else cells if not rows and not _numeric(cells) else []
+        row = cells(content)
+        header = cells(comment.partition("#")[0]) if not row else row if not rows and not _numeric(row) else []
         if set(NEEDED) <= {*header}:
             names = header
-        elif cells and (rows or _numeric(cells)):
-            rows.append(cells)
+        elif row and (rows or _numeric(row)):
+            rows.append(row)
     return names, rows
 
 
-def _cells(text: str) -> list[str]:
-    return text.replace(";", " ").replace(",", " ").split()
-
-
-def _numeric(cells: list[str]) -> int:
+def _numeric(row: list[str]) -> int:
     """Return how many cells there are where all are numbers, else 0."""
     try:
-        return len([float(cell) for cell in cells])
+        return len([float(cell) for cell in row])
     except ValueError:
         return 0

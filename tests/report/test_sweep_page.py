@@ -16,9 +16,9 @@ from racerl.run import RunFolder
 from racerl.sweep import statistics
 from racerl.sweep.conclusions import headline
 from racerl.sweep.definition import read_sweeps
-from racerl.sweep.elsewhere import LAPS, LEARNING, STEERING, TRAININGS
 from racerl.sweep.statistics import MEASURES, told, weigh
-from racerl.sweep.sweep import RESULTS, results
+from racerl.sweep.sweep import results
+from racerl.sweep.tables import LAPS, LEARNING, RESULTS, STEERING, TRAININGS
 
 TIMES = {"geometric": 5.5, "progress": 6.0, "speed_rate": 5.5, "speed": 5.4, "with_actuators": 5.5}
 NAMES = ("track_representation", "action_space", "actuator_model")

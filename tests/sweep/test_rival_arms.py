@@ -17,10 +17,11 @@ from racerl.run import RunFolder
 from racerl.sweep import sweep as sweeping
 from racerl.sweep import work as stage
 from racerl.sweep.definition import METRICS, Comparison, read_sweeps
-from racerl.sweep.elsewhere import LAPS, TRAININGS, Elsewhere
+from racerl.sweep.elsewhere import Elsewhere
 from racerl.sweep.jobs import UNTRAINED, Race, plan
 from racerl.sweep.statistics import MEASURES, contrast, resample
 from racerl.sweep.sweep import gather, results, summarise
+from racerl.sweep.tables import LAPS, TRAININGS
 from racerl.sweep.work import work
 
 SETTINGS = {

@@ -9,11 +9,12 @@ import pandas as pd
 import pytest
 import torch
 
-from racerl.assemble import Car, build_race
+from racerl.assemble import Car, build_action, build_race, build_track
 from racerl.config import compose_settings
 from racerl.documents import read_yaml
 from racerl.errors import RacerlError, VehicleError
 from racerl.optimum.floor import problem_hash
+from racerl.optimum.kept import found, known
 from racerl.record.record import record
 from racerl.vehicle.bodies import BodyMotion, commonroad_mb
 from racerl.vehicle.bodies.commonroad_mb import CommonroadMb, scaled
@@ -142,6 +143,13 @@ def test_it_races(tmp_path):
     assert float(race.state[6, 0]) > 0.02 and float(race.state[6, 1]) < -0.02
     plain = load_vehicle(asked["vehicle"] | {"body": ""})
     assert problem_hash(race.vehicle, race.track, race.action) != problem_hash(plain, race.track, race.action)
+
+
+def test_no_least_lap_is_known_of_it_and_that_ends_nothing(caplog):
+    asked = settings()
+    track, action = build_track(asked | {"track": {"file": "oval.csv"}}), build_action(compose_settings("train"))
+    assert known(vehicle(), track, action) is None and found(vehicle(), track, action) is None
+    assert "of body commonroad_mb no least lap time is known" in caplog.text
 
 
 def test_it_is_recorded_and_says_so(tmp_path):

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import Affine2D
 from numpy.typing import NDArray
 
+from racerl.evaluate.outcome import track_table
 from racerl.report.figures.edges import draw_edges, draw_line
 from racerl.report.figures.style import INK, WARNING, WIDTH, colour, style, to_svg
 from racerl.track.free_space import FreeSpace
@@ -31,7 +32,7 @@ def draw(given: Given, marked: Mapping[str, NDArray[np.bool_]], title: str) -> s
         axis.grid(visible=False)
         if given.free is not None:
             _draw_map(axis, given.free)
-        table = pd.DataFrame(_columns(track))
+        table = track_table(track)
         draw_edges(axis, table)
         axis.plot([*track.x, track.x[0]], [*track.y, track.y[0]], color=colour(0), lw=0.8, label="centreline")
         for (what, mask), look in zip(marked.items(), LOOKS, strict=False):
@@ -42,11 +43,6 @@ def draw(given: Given, marked: Mapping[str, NDArray[np.bool_]], title: str) -> s
         axis.set_title(f"{track.name}: {title}", fontsize=10)
         figure.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=8)
         return to_svg(figure)
-
-
-def _columns(track: Track) -> dict[str, NDArray[np.float64]]:
-    (left_x, left_y), (right_x, right_y) = track.boundary(1), track.boundary(-1)
-    return {"left_x_m": left_x, "left_y_m": left_y, "right_x_m": right_x, "right_y_m": right_y}
 
 
 def _height(track: Track) -> float:

@@ -20,7 +20,7 @@ from typing import Any
 
 from racerl.errors import VehicleError
 from racerl.vehicle.actuator import FirstOrder
-from racerl.vehicle.vehicle import Vehicle
+from racerl.vehicle.vehicle import GRAVITY, Vehicle
 
 # parameters by what they scale with
 LENGTHS = ("a", "b", "h_s", "h_cg", "R_w", "T_f", "T_r", "h_raf", "h_rar", "l", "w")
@@ -54,7 +54,7 @@ class CommonroadMb:
         self.parameters = scaled(float(vehicle.wheelbase), float(vehicle.mass))
         p = self.parameters
         # s per m/s: a wheel's slip settles at the rate p_Kx1 F_z R²/(I |v_x|), which no step may outrun
-        self._settling = STABLE * p.I_y_w / (p.tire.p_kx1 * (p.m * 9.81 / 4.0) * p.R_w**2)
+        self._settling = STABLE * p.I_y_w / (p.tire.p_kx1 * (p.m * GRAVITY / 4.0) * p.R_w**2)
         self._times = float(vehicle.steering.time_constant), float(vehicle.drive.time_constant)
 
     def begin(self, shown: Sequence[float]) -> list[float]:
