@@ -218,6 +218,7 @@ def test_mistakes_say_what_to_write(words, said, run, tmp_path):
         assert str(tmp_path) in done.stderr
 
 
+DRAWING = "import typer.main, rich.markdown, rich.panel, rich.table"  # what no help can be drawn without
 LIGHT = """import sys; from racerl.cli import main
 try: main()
 finally: print([name for name in ("torch", "scipy") if name in sys.modules])"""
@@ -245,14 +246,20 @@ def test_words_are_read_before_anything_heavy(words, tmp_path):
 
 
 def test_help_is_quick_and_complete(tmp_path):
-    times = []
-    for _ in range(3):
-        before = os.times()
-        done = process("--help", cwd=tmp_path)
-        after = os.times()
-        times.append(after.children_user + after.children_system - before.children_user - before.children_system)
+    helped, drawn = [], []  # s of the processor, by turns, as a busy machine slows both
+    for _ in range(5):
+        drawn.append(_processor(lambda: subprocess.run([sys.executable, "-c", DRAWING], cwd=tmp_path, check=True)))
+        helped.append(_processor(lambda: process("--help", cwd=tmp_path)))
+    done = process("--help", cwd=tmp_path)
     assert all(name in done.stdout for name in ("train", "evaluate", "report", "data"))
-    assert min(times) < 0.4  # s of the processor
+    assert min(helped) < 2 * min(drawn), (helped, drawn)
+
+
+def _processor(work):
+    before = os.times()
+    work()
+    after = os.times()
+    return after.children_user + after.children_system - before.children_user - before.children_system
 
 
 def test_a_process_of_its_own_ends_with_one_line(tmp_path):
