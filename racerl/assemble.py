@@ -3,8 +3,8 @@
 import ctypes
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import asdict, dataclass, field
+from typing import Any, cast
 
 import torch
 
@@ -13,11 +13,13 @@ from racerl.documents import conf_folder as conf_folder
 from racerl.env.actions import Action, create_action
 from racerl.env.observations import create_observation
 from racerl.env.race import Race, Timing
+from racerl.env.races import SEED_STEP, Races
 from racerl.env.randomize import Randomization
 from racerl.env.sensing import check_estimate
 from racerl.env.termination import OffTrack, Termination
 from racerl.errors import ConfigError
 from racerl.registry import construct
+from racerl.track.folder import OTHERS
 from racerl.track.load import load_track
 from racerl.track.track import Track
 from racerl.vehicle.load import load_vehicle, vehicle_document
@@ -89,6 +91,9 @@ def check_settings(settings: Settings) -> None:
         for key in ("file", "name"):
             if key in content and (not isinstance(content[key], str) or not content[key] or "\0" in content[key]):
                 raise ConfigError(f"config: {section}.{key} = {content[key]!r}: a word is expected")
+    others = settings["track"].get(OTHERS, [])
+    if not isinstance(others, list) or not all(isinstance(each, Mapping) and each.get("file") for each in others):
+        raise ConfigError(f"config: track.{OTHERS} = {others!r}: a list of tracks, each with a file, is expected")
     effects = settings["vehicle"].get("effects")
     if not isinstance(effects, Mapping | None):
         raise ConfigError(f"config: vehicle.effects = {effects!r}: a mapping from effects to their numbers is expected")
@@ -115,8 +120,12 @@ def build_vehicle(settings: Settings) -> Vehicle:
 
 
 def build_track(settings: Settings) -> Track:
-    """Load the track of `track`; relative files are looked for here and among the packaged tracks."""
-    return load_track(settings["track"], conf_folder() / "track")
+    """Load the track of `track`, the first of several; files are looked for here and among the packaged tracks."""
+    return load_track(_first(settings["track"]), conf_folder() / "track")
+
+
+def _first(track: Settings) -> dict[str, Any]:
+    return {key: value for key, value in track.items() if key != OTHERS}
 
 
 def build_action(settings: Settings) -> Action:
@@ -177,3 +186,35 @@ def build_race(
         noise=noise or {},
         device=device or torch.device("cpu"),
     )
+
+
+def build_races(settings: Settings, *, cars: int, seed: int, device: torch.device, times: int = 1) -> Race | Races:
+    """Build the race of a training: `cars` cars `times` over, each time spread evenly over the tracks in their order.
+
+    Raises ConfigError for fewer cars than tracks, and where the observation is of one track only.
+    """
+    worlds = one_world_each(settings)
+    if len(worlds) == 1:
+        return build_race(settings, cars=times * cars, seeds=[seed], device=device)
+    if cars < len(worlds):
+        raise ConfigError(f"{cars} cars for {len(worlds)} tracks: allowed is at least one for each")
+    counts = [cars // len(worlds) + (i < cars % len(worlds)) for i in range(len(worlds))]
+    parts = [*zip(worlds, counts, strict=True)] * times
+    seeds = [seed + SEED_STEP * i for i in range(len(parts))]
+    return Races(
+        [
+            build_race(world, cars=count, seeds=[own], device=device)
+            for (world, count), own in zip(parts, seeds, strict=True)
+        ]
+    )
+
+
+def one_world_each(settings: Settings) -> list[Settings]:
+    """Return the settings once for each of their tracks, with an observation in one scale for all."""
+    others = settings["track"].get(OTHERS)
+    if not others:
+        return [settings]
+    worlds = [{**settings, "track": track} for track in (_first(settings["track"]), *others)]
+    seen = create_observation(settings["obs"]).fitted(*map(build_track, worlds))
+    observation = {"name": settings["obs"]["name"], **asdict(cast(Any, seen))}
+    return [{**world, "obs": observation} for world in worlds]

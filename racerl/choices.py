@@ -5,6 +5,7 @@ Reads files alone, so that completion and errors need not compose anything.
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from racerl.documents import conf_folder, read_yaml
 
@@ -30,5 +31,13 @@ def own_keys(command: str) -> set[str]:
 
 def choices(group: str) -> list[str]:
     """Return the names in a group, those of a ./conf here included; a group that stands for files has none of them."""
-    folders = (Path("conf") / group, conf_folder() / group)
-    return sorted({path.stem for folder in folders for path in folder.glob("*.yaml")} - {"file"})
+    return sorted({path.stem for folder in _folders(group) for path in folder.glob("*.yaml")} - {"file"})
+
+
+def read_choice(group: str, name: str) -> dict[str, Any]:
+    """Return what the file of one of a group's `choices` says, that in ./conf before the packaged one."""
+    return read_yaml(next(file for folder in _folders(group) if (file := folder / f"{name}.yaml").is_file()))
+
+
+def _folders(group: str) -> tuple[Path, Path]:
+    return Path("conf") / group, conf_folder() / group

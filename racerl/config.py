@@ -10,6 +10,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,10 +25,11 @@ from hydra.plugins.search_path_plugin import SearchPathPlugin
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from racerl.choices import choices, default_groups, optional_groups, own_keys
+from racerl.choices import choices, default_groups, optional_groups, own_keys, read_choice
 from racerl.documents import conf_folder, read_yaml, require_finite
 from racerl.errors import ConfigError, DocumentError, suggest
 from racerl.run import WORDS
+from racerl.track.folder import OTHERS, track_file
 
 if TYPE_CHECKING:
     from racerl.env.adapters.gymnasium import RaceEnv, RaceVectorEnv
@@ -160,10 +162,20 @@ def make_vector_env(num_envs: int = 1, overrides: Sequence[str] = (), seed: int 
     return RaceVectorEnv(build_race(compose_settings("train", overrides), cars=num_envs, seeds=[seed]))
 
 
-def _compose(command: str, overrides: list[str]) -> DictConfig:
+def _compose(command: str, overrides: Sequence[str]) -> DictConfig:
+    """Return what Hydra composes, to be read only: the same words are composed once, until a file changes."""
+    folders = {Path("conf").resolve(), conf_folder()}
+    files = sorted(path for folder in folders for path in folder.rglob("*.y*ml") if path.is_file())
+    found = _composed(command, tuple(overrides), tuple((str(path), path.stat().st_mtime_ns) for path in files))
+    OmegaConf.clear_cache(found)  # of the time, which names output folders
+    return found
+
+
+@lru_cache(maxsize=256)
+def _composed(command: str, overrides: tuple[str, ...], files: tuple[tuple[str, int], ...]) -> DictConfig:
     GlobalHydra.instance().clear()
     with initialize_config_dir(str(conf_folder()), version_base=VERSION_BASE):
-        return compose(command, overrides)
+        return compose(command, list(overrides))
 
 
 def _register() -> None:
@@ -212,6 +224,8 @@ def _rewrite(command: str, arguments: Sequence[str], positional: str | None) -> 
             bare.append(word)
         elif "=" not in word and not word.startswith("~"):
             raise ConfigError(f"'{word}' is no override; write key=value, for instance dr=friction_0.02")
+        elif "track" in groups and re.match(r"\+?track=\[", word):
+            overrides += _several_tracks(command, word, filed)
         else:
             overrides += _rewrite_override(word, groups, filed)
     if bare and positional:
@@ -254,6 +268,30 @@ def _rewrite_override(word: str, groups: set[str], filed: Collection[str]) -> It
         yield f"++{word.lstrip('+')}"  # Hydra does not know what the file holds; whoever reads it does
     else:
         yield word.lstrip("+") if group in groups else word
+
+
+def _several_tracks(command: str, word: str, filed: Collection[str]) -> Iterator[str]:
+    """Yield Hydra's words for track=[a,b,c], names or files: the first is the track, the rest are its `others`."""
+    given = _listed(word.partition("=")[2])
+    if command not in ("train", "refine"):
+        raise ConfigError(f"{word}: one track is expected; racerl train takes several")
+    if not given or len({*given}) < len(given):
+        raise ConfigError(f"{word}: different tracks are expected, as track=[l_shape,oval]")
+    yield from _rewrite_override(f"track={given[0]}", {"track"}, filed)
+    if len(given) > 1:
+        yield f"++track.{OTHERS}=[{','.join(map(_other_track, given[1:]))}]"
+
+
+def _other_track(name: str) -> str:
+    """Return a further track, a name or a file, as Hydra's words for its settings; ConfigError where there is none."""
+    if name in choices("track"):
+        track = read_choice("track", name)
+    elif _names_file(f"track={name}", "track"):
+        _require_file("track", name)
+        track = {"file": name}
+    else:
+        raise ConfigError(f"unknown track '{name}'{suggest(name, choices('track'))}")
+    return "{" + ",".join(f"{key}:{quote(str(value))}" for key, value in track.items()) + "}"
 
 
 def _there(path: str, kind: Callable[[Path], bool] = Path.exists) -> bool:
@@ -327,8 +365,6 @@ def name_track(arguments: Sequence[str], known: Collection[str]) -> list[str]:
 
     Raises ConfigError where that is none, or where there are several.
     """
-    from racerl.track.folder import track_file
-
     kept: list[str] = []
     bare: list[str] = []
     words = iter(arguments)

@@ -61,6 +61,7 @@ def test_a_car_is_identified_with_intervals(recorded, tmp_path):
     assert found.usable is found.facts["verdict"]["usable"] and found.model.is_file() and found.page.is_file()
 
 
+@pytest.mark.slow
 def test_what_a_car_does_and_its_model_does_not_is_named(recorded, tmp_path):
     others = [name for name in catalogue.names() if name not in ("yaw_damping", "steering_gain")]
     found = gap([recorded.log], vehicle="published", without=others, threads=1, out=tmp_path / "gap")

@@ -38,4 +38,4 @@ class Dice:
     def restore(self, states: Tensor) -> None:
         """Continue from a snapshot."""
         for generator, state in zip(self.generators, states.cpu(), strict=True):
-            generator.set_state(state)
+            generator.set_state(state.clone())  # torch 2.13 crashes on a row of a table

@@ -51,6 +51,7 @@ class Corridor:
         self._centre = np.interp(self._u, chord, centre)
         self._frame = FrenetFrame(track, dtype=torch.float64)
         self.length = float(self._arc[-1])
+        self._known: dict[bytes, Stretch] = {}  # by their grids
 
     def along(self, centre: Array) -> Array:
         """Return the line's s beside places (M,) of the centreline, both in m."""
@@ -65,7 +66,13 @@ class Corridor:
         return Track("line", self.length, stretch.x, stretch.y, yaw, stretch.curvature, stretch.high, -stretch.low)
 
     def at(self, s: Array) -> Stretch:
-        """Return the line and the room beside it at s (M,) in m."""
+        """Return the line and the room beside it at s (M,) in m; kept, as many laps are looked for on one grid."""
+        grid = s.tobytes()
+        if grid not in self._known:
+            self._known[grid] = self._found(s)
+        return self._known[grid]
+
+    def _found(self, s: Array) -> Stretch:
         u = np.interp(np.mod(s, self.length), self._arc, self._u)
         (x, y), (dx, dy), (ddx, ddy) = self._spline(u).T, self._spline(u, 1).T, self._spline(u, 2).T
         yaw, curvature = np.unwrap(np.arctan2(dy, dx)), (dx * ddy - dy * ddx) / np.hypot(dx, dy) ** 3

@@ -16,6 +16,7 @@ from typing import Any
 from racerl.control.policy import UNREFINED
 from racerl.run import Compose, config_hash, is_complete
 from racerl.sweep.definition import Sweep
+from racerl.track.folder import OTHERS
 from racerl.vehicle.cars import CARS
 
 UNTRAINED = -1  # stands for the seed of what is not trained
@@ -178,9 +179,10 @@ def _named(words: Sequence[str]) -> list[Path]:
 
 
 def _read_by(train: Mapping[str, Any]) -> list[Path]:
-    """Return the files that a training's settings name: its vehicle, its track, the cars that it draws from."""
+    """Return the files that a training's settings name: its vehicle, its tracks, the cars that it draws from."""
     vehicle, track, cars = train["vehicle"].get("file"), train["track"].get("file"), train["dr"].get("cars")
-    return [*(Path(each) for each in (vehicle, track) if each), *([Path(cars) / CARS] if cars else [])]
+    others = [each["file"] for each in train["track"].get(OTHERS, [])]
+    return [*(Path(each) for each in (vehicle, track, *others) if each), *([Path(cars) / CARS] if cars else [])]
 
 
 def _contents(paths: Sequence[Path]) -> list[str]:

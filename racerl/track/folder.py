@@ -6,6 +6,7 @@ from racerl.documents import read_yaml
 from racerl.errors import ConfigError, DocumentError
 
 SUFFIXES = (".csv", ".yaml", ".yml")
+OTHERS = "others"  # track.others: further tracks, over which the cars of a training are spread, too
 ALLOWED = "a centreline .csv, a map .yaml, or a folder that holds one"
 
 

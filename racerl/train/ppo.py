@@ -21,6 +21,7 @@ from torch import Tensor, nn
 from racerl import bounds
 from racerl.env.adapters.sb3 import RaceVecEnv
 from racerl.env.race import Race
+from racerl.env.races import Races
 from racerl.registry import construct
 from racerl.train.normaliser import Normaliser, moments
 from racerl.train.products import fast_products
@@ -127,7 +128,7 @@ def hyperparameters(budget: Budget) -> dict[str, Any]:
 class RacePPO(PPO):
     """PPO whose rollouts stay tensors from the simulator to the update."""
 
-    def __init__(self, race: Race, budget: Budget, seed: int) -> None:
+    def __init__(self, race: Race | Races, budget: Budget, seed: int) -> None:
         self.race = race
         self.budget = budget
         self.shuffle = torch.Generator().manual_seed(seed)

@@ -13,7 +13,7 @@ A tenth or so of the pairs begin at starts; a start that ended in a crash is mos
 practises what it cannot do.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,6 +24,7 @@ from racerl import bounds
 from racerl.assemble import unlimited
 from racerl.control.policy import SLOPE, Policy
 from racerl.env.race import Race
+from racerl.env.races import Races
 from racerl.errors import ConfigError
 from racerl.train import checkpoint
 from racerl.train.checkpoint import section
@@ -85,7 +86,8 @@ def refine(session: Session, settings: Refinement, policy: Policy, before: int, 
     crash, all of whose laps stay on the track, 0 where the best before was such; None if there was none.
     """
     world = unlimited(session.settings)
-    search = Search(settings, policy.network, lambda cars: session.build_race(cars, world), session.seed)
+    lead, race = (session.build_races(settings.pairs, world, times) for times in (1, 2))
+    search = Search(settings, policy.network, lead, race, session.seed)
     path = session.folder.path / FILE
     state = checkpoint.recover(path, search.restore)
     first = search.generation
@@ -133,7 +135,7 @@ class Practice:
     A car starts anew when its episode is over, and after a crash, then mostly from where it had started.
     """
 
-    def __init__(self, race: Race, settings: Refinement, dice: torch.Generator) -> None:
+    def __init__(self, race: Race | Races, settings: Refinement, dice: torch.Generator) -> None:
         self.race, self.settings, self.dice = race, settings, dice
         # episodes end one after the other
         race.age = torch.arange(race.count, device=race.device) * settings.episode // race.count
@@ -173,10 +175,11 @@ class Practice:
 class Search:
     """An evolution strategy in the course of a refinement: the policy's weights, their momentum, and the cars."""
 
-    def __init__(self, settings: Refinement, network: nn.Sequential, build: Callable[[int], Race], seed: int) -> None:
-        """`build` makes races of so many cars; the network's weights are changed in place."""
-        self.settings = settings
-        self.lead, self.race = build(settings.pairs), build(2 * settings.pairs)
+    def __init__(
+        self, settings: Refinement, network: nn.Sequential, lead: Race | Races, race: Race | Races, seed: int
+    ) -> None:
+        """`lead` has a car for every pair, `race` those twice over; the network's weights are changed in place."""
+        self.settings, self.lead, self.race = settings, lead, race
         self.dice = torch.Generator(self.lead.device).manual_seed(seed)
         self.practice = Practice(self.lead, settings, self.dice)
         self.network = network

@@ -14,22 +14,25 @@ import torch
 from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat
 from torch import Tensor, nn
 
-from racerl.assemble import build_race, unlimited
+from racerl.assemble import build_race, build_races, one_world_each, unlimited
 from racerl.control.policy import Policy, save_policy
 from racerl.documents import MAX_TEXT_BYTES, read_text, write_text
 from racerl.env.black_box import read_failures, write_failures
 from racerl.env.race import Race
+from racerl.env.races import Races
 from racerl.env.termination import Crash
-from racerl.errors import Diverged, DocumentError, RunError
+from racerl.errors import ConfigError, Diverged, DocumentError, RunError
 from racerl.evaluate.drive import drive
 from racerl.evaluate.laps import score
 from racerl.interruption import held_back
 from racerl.run import RunFolder
+from racerl.track.folder import OTHERS
 from racerl.train.trackers import Tracker
 
 PROGRESS = "progress.jsonl"
 CHECKPOINT_PERIOD = 30.0  # s
 EVALUATION_CARS, EVALUATION_LAPS = 16, 2  # cars of the training's own randomization
+EVALUATION_FEWEST = 4  # cars on each of several tracks
 EVALUATION_SEED = 1_000_003
 CLEAN = 0.9  # share of the laps that stay on the track, before pace counts
 TOLERATED = 0.0005  # m s of E_off per lap that a faster policy may have: a quarter of what the paper's has on its car
@@ -84,16 +87,21 @@ class Examiner:
     """Races a policy against the clock, always from the same starts, in cars of the training's randomization."""
 
     def __init__(self, settings: Mapping[str, Any], device: torch.device) -> None:
-        self.seeds = [EVALUATION_SEED + i for i in range(EVALUATION_CARS)]
-        self.race = build_race(
-            unlimited(settings), cars=EVALUATION_CARS, seeds=self.seeds, device=device, termination=Crash()
-        )
+        worlds = one_world_each(unlimited(settings))
+        cars = max(EVALUATION_CARS // len(worlds), EVALUATION_FEWEST)
+        self.seeds = [EVALUATION_SEED + i for i in range(cars)]
+        self.races = [
+            build_race(world, cars=cars, seeds=self.seeds, device=device, termination=Crash()) for world in worlds
+        ]
 
     def examine(self, policy: Policy) -> dict[str, Any]:
-        """Return the score of two flying laps of each car."""
-        self.race.reseed(self.seeds)
-        self.race.reset()
-        return score(drive(self.race, policy, EVALUATION_LAPS))
+        """Return the score of two flying laps of each car, of those on all tracks together."""
+        laps = []
+        for race in self.races:
+            race.reseed(self.seeds)
+            race.reset()
+            laps += drive(race, policy, EVALUATION_LAPS)
+        return score(laps)
 
 
 def rank(result: Mapping[str, Any]) -> tuple[float, float, float]:
@@ -122,7 +130,7 @@ class Session:
         self.tracker = tracker
         self.seed: int = settings["seed"]
         self.examiner = Examiner(settings, device)
-        self.races: list[Race] = [self.examiner.race]  # all that is driven in
+        self.races: list[Race] = [*self.examiner.races]  # all that is driven in
         self.failures: list[pd.DataFrame] = []  # of cars, before the run was resumed
         self.best: dict[str, Any] | None = None
         self.last: dict[str, Any] = {}
@@ -179,9 +187,21 @@ class Session:
             self.logger.record(key, value)
 
     def build_race(self, cars: int, settings: Mapping[str, Any] | None = None) -> Race:
-        """Return a race of the training's world, or of the settings given, with its seed."""
+        """Return a race of the training's one track, with its seed, or of the settings given.
+
+        Raises ConfigError for several tracks.
+        """
+        if self.settings["track"].get(OTHERS):
+            name = self.settings["algo"]["name"]
+            raise ConfigError(f"algo={name} learns on one track, several are given; use algo=ppo, or give one")
         race = build_race(settings or self.settings, cars=cars, seeds=[self.seed], device=self.device)
         self.races.append(race)
+        return race
+
+    def build_races(self, cars: int, settings: Mapping[str, Any] | None = None, times: int = 1) -> Race | Races:
+        """Return a race of all tracks, its cars `times` over, of the training's world or of the settings given."""
+        race = build_races(settings or self.settings, cars=cars, seed=self.seed, device=self.device, times=times)
+        self.races += race.races if isinstance(race, Races) else [race]
         return race
 
     @property
@@ -222,7 +242,7 @@ def read_progress(run: Path) -> pd.DataFrame:
         raise RunError(f"{path}: cannot be read ({' '.join(str(error).split())}); train again") from error
 
 
-def policy_of(network: nn.Sequential, race: Race, settings: Mapping[str, Any]) -> Policy:
+def policy_of(network: nn.Sequential, race: Race | Races, settings: Mapping[str, Any]) -> Policy:
     """Return a network as a policy for the race it learns in, sharing its weights."""
     observation = {"name": settings["obs"]["name"], **asdict(cast(Any, race.observation))}
     return Policy(network, observation, settings["action"])

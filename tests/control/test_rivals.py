@@ -77,6 +77,7 @@ def test_cars_have_plans_of_their_own():
     assert torch.allclose(alone.state[:, 0], together.state[:, 1], atol=1e-3)
 
 
+@pytest.mark.slow
 def test_pure_pursuit_laps_cleanly_on_the_optimum_and_on_a_line_of_ones_own(tmp_path, middle_line):
     field, pursuer = ready("controller=pure_pursuit")
     result = score(drive(field, pursuer, 2))

@@ -162,7 +162,13 @@ def test_a_floor_with_less_grip_is_all_that_a_slippery_twin_adds(tmp_path):
         assert ("yaw_damping" in slippery.effects) is bool(words and "mine" in words[0])
 
 
-@pytest.mark.parametrize("car", sorted(path.stem for path in (conf_folder() / "car").glob("*.yaml")))
+@pytest.mark.parametrize(
+    "car",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] if name == "commonroad_mb" else [])
+        for name in sorted(path.stem for path in (conf_folder() / "car").glob("*.yaml"))
+    ],
+)
 def test_every_car_is_raced_and_recorded(car, smoke_run, tmp_path):
     metrics = evaluate(compose_settings("evaluate", [f"run='{smoke_run}'", f"car={car}", "laps=1"]), tmp_path / "race")
     assert metrics["car"] == car and metrics["laps"] == 3

@@ -50,6 +50,7 @@ def line(tmp_path):
     return path
 
 
+@pytest.mark.slow
 def test_laps_are_set_against_the_optimum_that_nobody_asked_for(line, tmp_path, monkeypatch):
     """It is found once, told while it is, and kept; laps without it are laps all the same."""
     monkeypatch.chdir(tmp_path)

@@ -28,12 +28,14 @@ def foreign():
     return drive(*WORDS, f"+vehicle.effects.{SHAPE}.aside_drive=-0.4", f"+vehicle.effects.{SHAPE}.aside_turn_drive=0.4")
 
 
+@pytest.mark.slow
 def test_a_right_tyre_keeps_its_formula(clean):
     investigation = investigate(clean, "yaw_damping")
     decision = name_effects(investigation)
     assert decision.investigation is investigation and not investigation.shaped
 
 
+@pytest.mark.slow
 def test_a_foreign_tyre_is_a_shape_and_no_effect(foreign):
     plain = investigate(foreign, "yaw_damping", "roll_dynamics")
     decision = name_effects(plain)
@@ -49,6 +51,7 @@ def test_a_foreign_tyre_is_a_shape_and_no_effect(foreign):
     assert table[f"effects.{SHAPE}.alpha"] == pytest.approx(LARGE * table["friction"] * slide)
 
 
+@pytest.mark.slow
 def test_no_shape_is_fitted_beside_an_effect_that_explains_all(damped, monkeypatch):
     monkeypatch.setattr(any_tyre, "_fitted", lambda *_: pytest.fail("fitted"))
     assert name_effects(investigate(damped, "yaw_damping", "aero_drag")).chosen == ["yaw_damping"]

@@ -177,6 +177,7 @@ def test_one_shift_has_the_name_of_what_is_late(clean, tmp_path, late, name):
     assert facts["effects"][0]["parameters"]["latency"]["value"] == pytest.approx(0.04, abs=0.002)
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_what_cannot_be_told_apart_is_called_ambiguous(tmp_path):
     """Where no command is logged, an angle that is wrong on the road and one that is measured wrong are the same."""

@@ -530,6 +530,7 @@ def test_a_small_effect_beside_a_large_one_is_named(monkeypatch):
     assert decision.found.theta["effects.steering_gain.gain"] == pytest.approx(0.92, abs=0.01)
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_a_name_behind_which_more_is_missing_that_is_nothing_known_is_none(monkeypatch):
     words = ["+vehicle/effect=[yaw_damping,viscous_drag]", "vehicle.effects.viscous_drag.coefficient=8.0"]

@@ -99,6 +99,7 @@ def test_an_effect_is_no_wrong_number(damped):
     assert float(numbers.found.vehicle.effects["yaw_damping"].coefficient) == pytest.approx(0.15, rel=0.1)
 
 
+@pytest.mark.slow
 def test_an_effect_and_a_wrong_number_are_told_apart():
     log = drive(
         "vehicle.friction=0.6",

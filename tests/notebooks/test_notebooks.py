@@ -78,6 +78,7 @@ def test_a_logs_numbers_are_found(run):
     require_figures("my_own_log", left)
 
 
+@pytest.mark.slow
 def test_what_is_hidden_is_named(run, capsys):
     left = run("what_is_missing", "quick")
     require_named(left)

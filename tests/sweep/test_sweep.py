@@ -154,6 +154,7 @@ def test_another_content_of_a_file_is_another_job(tmp_path):
     assert names[0] == names[2] and not set(names[0]) & set(names[1])
 
 
+@pytest.mark.slow
 def test_a_job_that_fails_takes_no_other_along(place, run):
     out = place / "failing"
     words = [f"out={out}", "engine.jobs=1", "engine.retries=0", "cars=[model]"]

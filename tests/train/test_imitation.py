@@ -76,6 +76,7 @@ def test_the_top_lap_is_the_fastest_that_the_feedback_holds(settings, monkeypatc
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.slow
 def test_a_lap_that_is_not_found_is_left_out(settings, monkeypatch):
     """The teacher climbs over the gap; without any lap that nothing limits there is none."""
 

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from racerl.assemble import build_race
+from racerl.assemble import build_races
 from racerl.config import compose_settings
 from racerl.control.policy import UNREFINED, build_network, load_policy
 from racerl.errors import ConfigError, RunError
@@ -39,11 +39,11 @@ PLAN = Refinement(
 def search(plan=PLAN, *words, hidden=8, seed=0):
     settings = compose_settings("train", [*SMOKE, *words])
     torch.manual_seed(seed)
-    size = build_race(settings, cars=1, seeds=[0], device=torch.device("cpu")).observation.size
-    network = build_network([size, hidden, 2]).requires_grad_(False)
-    return Search(
-        plan, network, lambda cars: build_race(settings, cars=cars, seeds=[seed], device=torch.device("cpu")), seed
+    lead, race = (
+        build_races(settings, cars=plan.pairs, seed=seed, device=torch.device("cpu"), times=times) for times in (1, 2)
     )
+    network = build_network([lead.observation.size, hidden, 2]).requires_grad_(False)
+    return Search(plan, network, lead, race, seed)
 
 
 def test_both_cars_of_a_pair_start_alike_in_one_world():

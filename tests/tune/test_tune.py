@@ -38,6 +38,7 @@ def test_what_counts_is_the_time_driven_for_every_valid_lap():
     assert per_valid_lap([lap(5.0, off=0.01)]) == NEVER
 
 
+@pytest.mark.slow
 def test_a_faster_controller_is_found_and_kept(tmp_path, line):
     facts = tune(settings("controller.speed=0.35", line=line), tmp_path / "a")
     trials = [row["seconds_per_valid_lap"] for row in facts["trials"]]

@@ -10,6 +10,7 @@ import torch
 
 from racerl.assemble import build_vehicle
 from racerl.config import compose_settings
+from racerl.documents import conf_folder, read_yaml
 from racerl.vehicle import catalogue
 from racerl.vehicle.integrate import advance
 from racerl.vehicle.ops import CasadiOps
@@ -22,7 +23,17 @@ DRIVES = ["sim=default", "sim=no_actuators", "sim=motor_current"]
 
 @cache
 def make_car(*overrides: str) -> Vehicle:
-    return build_vehicle(compose_settings("train", overrides))
+    return build_vehicle(settings_of(*overrides))
+
+
+@cache
+def settings_of(*overrides: str) -> dict[str, Any]:
+    """Return composed settings; a single effect is put in as it is packaged, as composing them all takes a while."""
+    effect = overrides[0].removeprefix("+vehicle/effect=") if len(overrides) == 1 else ""
+    if effect not in EFFECTS:
+        return compose_settings("train", overrides)
+    plain, packaged = settings_of(), read_yaml(conf_folder() / "vehicle" / "effect" / f"{effect}.yaml")
+    return {**plain, "vehicle": {**plain["vehicle"], "effects": {effect: packaged}}}
 
 
 @pytest.fixture(scope="session", params=[*DRIVES, *(f"+vehicle/effect={name}" for name in EFFECTS), ALL])

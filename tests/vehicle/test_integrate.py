@@ -1,6 +1,7 @@
 """The integrator converges at its order, and its step is a limit of smaller ones."""
 
 import numpy as np
+import pytest
 import torch
 
 from racerl.vehicle.integrate import advance
@@ -16,15 +17,19 @@ def drive(car, dt):
     return advance(car, state, command, dt, round(0.25 / dt), TORCH)
 
 
-def test_runge_kutta_is_of_fourth_order(car):
-    reference = drive(car, 0.0003125)
+@pytest.fixture(scope="module")
+def reference(car):
+    return drive(car, 0.0003125)
+
+
+def test_runge_kutta_is_of_fourth_order(car, reference):
     errors = [float((drive(car, dt) - reference).abs().max()) for dt in (0.01, 0.005, 0.0025)]
     orders = np.log2(np.divide(errors[:-1], errors[1:]))
     assert (orders > 3.6).all(), errors
 
 
-def test_the_step_of_10_ms_is_fine_enough(car):
-    assert float((drive(car, 0.01) - drive(car, 0.0003125)).abs().max()) < 1e-5
+def test_the_step_of_10_ms_is_fine_enough(car, reference):
+    assert float((drive(car, 0.01) - reference).abs().max()) < 1e-5
 
 
 def test_halves_make_a_whole(car):

@@ -9,12 +9,13 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from racerl.env.adapters.spaces import action_space, observation_space
 from racerl.env.race import Race
+from racerl.env.races import Races
 
 
 class RaceVecEnv(VecEnv):
     """N cars as N environments that start over by themselves."""
 
-    def __init__(self, race: Race) -> None:
+    def __init__(self, race: Race | Races) -> None:
         self.race = race
         self.render_mode = None
         super().__init__(race.count, observation_space(race), action_space())

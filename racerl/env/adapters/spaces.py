@@ -5,9 +5,10 @@ from gymnasium import spaces
 
 from racerl.env.observations import OBSERVATION_LIMIT
 from racerl.env.race import Race
+from racerl.env.races import Races
 
 
-def observation_space(race: Race) -> spaces.Box:
+def observation_space(race: Race | Races) -> spaces.Box:
     """Return the box of one car's observation."""
     return spaces.Box(-OBSERVATION_LIMIT, OBSERVATION_LIMIT, (race.observation.size,), np.float32)
 

@@ -43,10 +43,11 @@ class Observation(Protocol):
     def size(self) -> int:
         """Numbers per car."""
 
-    def fitted(self, track: Track) -> "Observation":
-        """Return the observation with its maxima taken from the track, where they are not given.
+    def fitted(self, *tracks: Track) -> "Observation":
+        """Return the observation with its maxima taken from the tracks, where they are not given.
 
-        A policy keeps the maxima that it was trained with, so that it sees other tracks in the same scale.
+        A policy keeps the maxima that it was trained with, so that it sees other tracks in the same scale. Raises
+        ConfigError for several tracks where it is of one only.
         """
 
     def sees(self, action: Action) -> tuple[Seen, ...]:

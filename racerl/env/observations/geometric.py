@@ -38,12 +38,12 @@ class Geometric:
         """10 numbers of the car and two per preview point."""
         return 10 + 2 * self.points
 
-    def fitted(self, track: Track) -> "Geometric":
-        """Take missing maxima from the track."""
+    def fitted(self, *tracks: Track) -> "Geometric":
+        """Take missing maxima from the tracks."""
         return replace(
             self,
-            curvature_max=self.curvature_max or max(track.max_curvature, 1e-3),
-            width_max=self.width_max or track.max_half_width,
+            curvature_max=self.curvature_max or max(1e-3, *(track.max_curvature for track in tracks)),
+            width_max=self.width_max or max(track.max_half_width for track in tracks),
         )
 
     def sees(self, action: Action) -> tuple[Seen, ...]:

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from racerl.env.actions import Action
 from racerl.env.observations import HEADING, V_X, V_Y, YAW_RATE, Seen, actuator_terms, actuators_seen, check_maxima
+from racerl.errors import ConfigError
 from racerl.track.track import Track
 
 if TYPE_CHECKING:
@@ -32,8 +33,11 @@ class Progress:
         """11 numbers."""
         return 11
 
-    def fitted(self, track: Track) -> "Progress":
-        """Take missing maxima from the track."""
+    def fitted(self, *tracks: Track) -> "Progress":
+        """Take missing maxima from the track; ConfigError for several, as a place is on one."""
+        if len(tracks) > 1:
+            raise ConfigError(f"obs=progress sees its place on one track, {len(tracks)} are given; use obs=geometric")
+        (track,) = tracks
         return replace(self, length=self.length or track.length, width_max=self.width_max or track.max_half_width)
 
     def sees(self, action: Action) -> tuple[Seen, ...]:

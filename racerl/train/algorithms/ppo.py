@@ -23,7 +23,7 @@ class Ppo:
     def train(self, session: Session) -> dict[str, Any]:
         """Train for `budget.steps` control steps."""
         budget = Budget.of(session.settings["budget"])
-        race = session.build_race(budget.cars)
+        race = session.build_races(budget.cars)
         session.start()
         model = RacePPO(race, budget, session.seed)
         model.set_logger(session.logger)

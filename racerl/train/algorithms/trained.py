@@ -27,7 +27,7 @@ class Trained:
                 "as budget=laptop has"
             )
         policy = load_policy(Path(self.run), session.device)
-        size = session.examiner.race.observation.size
+        size = session.examiner.races[0].observation.size
         if policy.sizes[0] != size or policy.sizes[-1] != 2:
             raise PolicyError(
                 f"{self.run}: the policy has {policy.sizes[0]} inputs and {policy.sizes[-1]} outputs, the race "
