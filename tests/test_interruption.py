@@ -159,7 +159,7 @@ def test_it_works_outside_the_main_thread():
         assert pool.submit(work).result() is False
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.slow)])
 def test_a_training_keeps_a_checkpoint_and_ends_soon(number, tmp_path):
     out = tmp_path / "run"
     job = subprocess.Popen([sys.executable, "-c", CODE, str(out)], stdout=subprocess.PIPE, stderr=subprocess.PIPE)

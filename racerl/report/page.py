@@ -69,7 +69,12 @@ def provenance(manifest: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def write_page(folder: Path, template: str, **values: Any) -> Path:
-    """Fill in a template of this package and write the page; raise jinja2.UndefinedError where a value is missing."""
+    """Write a run's page from a template of this package; raise jinja2.UndefinedError where a value is missing."""
+    return fill_in(folder / PAGE, template, **values)
+
+
+def fill_in(path: Path, template: str, **values: Any) -> Path:
+    """Write a page from a template of this package; raise jinja2.UndefinedError where a value is missing."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("racerl.report", "."),
         autoescape=True,
@@ -79,5 +84,5 @@ def write_page(folder: Path, template: str, **values: Any) -> Path:
     count = itertools.count(1)
     environment.filters["inline"] = lambda svg, title: inline(svg, title, f"f{next(count)}-")
     environment.globals["palette"] = PALETTE
-    write_text(folder / PAGE, environment.get_template(template).render(**values))
-    return folder / PAGE
+    write_text(path, environment.get_template(template).render(**values))
+    return path

@@ -10,11 +10,13 @@ import numpy as np
 from matplotlib.colors import to_hex
 from numpy.typing import NDArray
 
+from racerl import bounds
 from racerl.documents import write_bytes
 from racerl.errors import ConfigError, RunError
 from racerl.report.driver import ALLOWED, Driver, listed, same
 from racerl.report.figures import replay
 from racerl.report.flying_lap import FlyingLap
+from racerl.report.interactive import require_plotly, write_interactive
 from racerl.report.page import write_page
 from racerl.run import RunFolder
 
@@ -24,7 +26,7 @@ DIGITS = 4
 
 
 def show(settings: Mapping[str, Any], out: Path, outputs: Path = Path("outputs")) -> Path:
-    """Write the page and the moving picture of the laps of `settings["drivers"]`; return the page's path.
+    """Write the pages and the moving picture of the laps of `settings["drivers"]`; return the first page's path.
 
     Raises ConfigError or RunError, one line, for what cannot be shown.
     """
@@ -32,6 +34,8 @@ def show(settings: Mapping[str, Any], out: Path, outputs: Path = Path("outputs")
     if not 1 <= len(words) <= MOST:
         raise ConfigError(f"drivers: {len(words)} given, 1 to {MOST} are shown ({ALLOWED}): racerl show RUN…")
     moving = replay.writer(str(settings["file"]))
+    if interactive := bounds.switch("interactive", settings["interactive"]):
+        require_plotly()
     drivers = [Driver.find(word, outputs) for word in words]
     for word, driver in zip(words[1:], drivers[1:], strict=True):
         if not same(driver.track, drivers[0].track):
@@ -49,7 +53,9 @@ def show(settings: Mapping[str, Any], out: Path, outputs: Path = Path("outputs")
         "car": replay.CAR,
         "laps": [_numbers(lap) for lap in laps],
     }
-    page = write_page(folder.path, "show_page.html.j2", headline=headline(laps), data=data)
+    page = write_page(folder.path, "show_page.html.j2", headline=headline(laps), data=data, other=interactive)
+    if interactive:
+        write_interactive(folder.path, headline(laps), laps, track)
     folder.finish()
     return page
 

@@ -24,6 +24,7 @@ def raced(out, *words):
     return metrics
 
 
+@pytest.mark.slow
 def test_a_race_leaves_what_a_policys_leaves(tmp_path, middle_line, monkeypatch):
     monkeypatch.setattr(kept, "find_optimum", no_lap)  # another test's
     words = ["controller=pure_pursuit", f"controller.raceline={middle_line}", "laps=1", "seeds=[0,1]", "car=twin"]

@@ -146,7 +146,8 @@ def _learned(car, log):
 
 
 @needs_compiler
-@pytest.mark.parametrize("learns", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("learns", [False, True])
 def test_what_no_known_effect_explains_is_called_unknown_and_gets_no_name(damped, tmp_path, monkeypatch, learns):
     if not learns:
         monkeypatch.setattr(diagnose, "_residual", lambda *given: None)
@@ -389,6 +390,7 @@ def test_what_nobody_would_miss_would_not_show():
     assert twins.hidden() == tuple(names[:2]) and twins.one(*names[:2])
 
 
+@pytest.mark.slow
 def test_an_effect_shows_from_the_share_of_the_noise_that_a_name_must_take(damped):
     investigation = investigate(damped, "yaw_damping", "tyre_heating")
     found = scores(investigation, investigation.base)["chassis"]

@@ -145,17 +145,17 @@ def test_drivers_of_one_title_and_strange_names_are_told_apart(tmp_path, monkeyp
     runs = [raced(tmp_path / name, human_lap()) for name in ("one", "two")]
     for run in map(Path, runs):
         write_json(run / "metrics.json", {**read_json(run / "metrics.json"), "label": "$1 </script> $2"})
-    page = show({"drivers": runs, "file": "laps.gif"}, tmp_path / "out").read_text()
+    page = show({"drivers": runs, "file": "laps.gif", "interactive": False}, tmp_path / "out").read_text()
     data = json.loads(re.search(r"const data = (.*);\n", page)[1])
     assert [lap["driver"].split(":")[0] for lap in data["laps"]] == ["one", "two"]
     assert "$1 </script> $2" in data["laps"][0]["driver"] and page.count("</script>") == 1
-    assert show({"drivers": runs[0], "file": "laps.gif"}, tmp_path / "alone").is_file()
+    assert show({"drivers": runs[0], "file": "laps.gif", "interactive": False}, tmp_path / "alone").is_file()
     wide = raced(tmp_path / "wide", human_lap(), replace(TRACK, x=TRACK.x + 1.0))
     with pytest.raises(RacerlError, match="were driven on different tracks"):
-        show({"drivers": [runs[0], wide], "file": "laps.gif"}, tmp_path / "both")
+        show({"drivers": [runs[0], wide], "file": "laps.gif", "interactive": False}, tmp_path / "both")
 
 
 def test_a_film_needs_ffmpeg(monkeypatch, tmp_path):
     monkeypatch.setattr(FFMpegWriter, "isAvailable", classmethod(lambda cls: False))
     with pytest.raises(RacerlError, match=r"needs ffmpeg, which is not here; choose file=laps\.gif"):
-        show({"drivers": ["paper:rl"], "file": "laps.mp4"}, tmp_path / "out")
+        show({"drivers": ["paper:rl"], "file": "laps.mp4", "interactive": False}, tmp_path / "out")

@@ -140,7 +140,13 @@ class Killed(Exception):
     """The process was killed."""
 
 
-@pytest.mark.parametrize("period", [0.0, 1e6], ids=["from its checkpoint", "from the policy before it"])
+@pytest.mark.parametrize(
+    "period",
+    [
+        pytest.param(0.0, id="from its checkpoint"),
+        pytest.param(1e6, id="from the policy before it", marks=pytest.mark.slow),
+    ],
+)
 def test_an_interrupted_refinement_goes_on_where_it_was(period, tmp_path, monkeypatch):
     words = [*SMOKE, "budget.refinement.generations=6", "budget.refinement.evaluations=6", "+dr=friction_0.02"]
     whole = train(compose_settings("train", words), tmp_path / "whole")
