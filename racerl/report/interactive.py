@@ -30,7 +30,7 @@ CHANNELS = ("speed [m/s]", "steering [rad]", "side slip [°]", "margin [m]", "be
 def require_plotly() -> None:
     """Raise ConfigError where Plotly is not installed."""
     if find_spec("plotly") is None:
-        raise ConfigError("interactive = true needs Plotly, which is not here; pip install 'racerl[interactive]'")
+        raise ConfigError("interactive = true needs plotly: in your clone, pip install -e '.[interactive]'")
 
 
 def write_interactive(folder: Path, headline: str, laps: Sequence[FlyingLap], track: pd.DataFrame) -> Path:

@@ -92,7 +92,7 @@ def test_hovering_moves_the_marks_to_that_place_and_a_dark_page_has_its_colours(
 def test_without_plotly_nothing_is_written(tmp_path, monkeypatch):
     monkeypatch.setattr(interactive, "find_spec", lambda name: None)
     words = {"drivers": ["paper:rl"], "file": "laps.gif", "interactive": True}
-    with pytest.raises(ConfigError, match=r"needs Plotly, which is not here; pip install 'racerl\[interactive\]'"):
+    with pytest.raises(ConfigError, match=r"needs plotly: in your clone, pip install -e '\.\[interactive\]'"):
         show(words, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 

@@ -14,7 +14,7 @@ from racerl.errors import ConfigError
 from racerl.rerun import rerun
 from racerl.run import CONFIG, RunFolder
 from racerl.train import onward, session, train
-from racerl.train.trackers import create_tracker
+from racerl.train.trackers import create_tracker, trackio
 from tests.train.pulled import Plug, pull_at
 from tests.train.short import refinement
 
@@ -165,3 +165,9 @@ def test_a_project_has_a_name_of_its_own(project, said, storage, tmp_path):
     with pytest.raises(ConfigError, match=said):
         train.train(compose_settings("train", [*TRACKED, f"tracking.project={project}"]), tmp_path / "run")
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(("path", "name"), [("none-0-2c2358/train", "none-0-2c2358"), ("first", "first")])
+def test_the_training_of_a_sweeps_job_has_the_jobs_name(path, name, monkeypatch, tmp_path):
+    monkeypatch.setattr(trackio, "_storage", lambda: None)
+    assert trackio.Records("racerl", RunFolder.start(tmp_path / path, "train", {"seed": 0})).name == name

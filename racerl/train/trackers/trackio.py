@@ -19,6 +19,8 @@ from racerl.run import RunFolder
 
 log = logging.getLogger(__name__)
 
+STAGE = "train"  # a folder of this name is a part of what the one above it is, as of a sweep's job
+
 
 @dataclass(frozen=True)
 class Trackio:
@@ -41,7 +43,9 @@ class Records(KVWriter):
 
     def __init__(self, project: str, folder: RunFolder) -> None:
         self.storage, self.project = _storage(), project
-        self.run_id, self.name = folder.manifest["run_id"], folder.path.resolve().name
+        path = folder.path.resolve()
+        self.run_id = folder.manifest["run_id"]
+        self.name = path.parent.name if path.name == STAGE else path.name
         self.settings = {key: value for key, value in folder.settings().items() if key != "out"}
         self.broken = False
 
