@@ -171,7 +171,10 @@ def test_what_the_system_refuses_ends_with_one_line(out, said, tmp_path, run):
         assert "Traceback" not in done.stdout + done.stderr and not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("out", ["Größe/测试", "a,b", "[x]", "a b", "x{1}", "it's", 'q"q', "d$x"])
+ODD = ("Größe/测试", "a,b", "[x]", "a b", "x{1}", "it's", 'q"q', "d$x")
+
+
+@pytest.mark.parametrize("out", ["".join(ODD), *(pytest.param(name, marks=pytest.mark.slow) for name in ODD)])
 def test_a_folder_may_have_any_name(out, tmp_path, run):
     done = run("record", "drive=race", "seconds=2", f"out={out}")
     assert done.returncode == 0 and (tmp_path / out / "log.parquet").is_file(), done.stderr

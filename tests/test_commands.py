@@ -117,7 +117,12 @@ def test_what_is_mistyped_is_said_in_one_line(recorded, tmp_path):
     assert not (tmp_path / "a").exists()
 
 
-@pytest.mark.parametrize("name", ["mu=0.8, grippy.parquet", "fährt 1.parquet", "[a]'b.parquet"])
+PLAIN = ("mu=0.8, grippy.parquet", "fährt 1.parquet", "[a]'b.parquet")
+
+
+@pytest.mark.parametrize(
+    "name", ["mu=0.8, fährt [a]'b.parquet", *(pytest.param(name, marks=pytest.mark.slow) for name in PLAIN)]
+)
 def test_any_path_is_taken_as_it_is(recorded, tmp_path, name):
     copy = shutil.copy(recorded.log, tmp_path / name)
     out = tmp_path / f"of {name}"

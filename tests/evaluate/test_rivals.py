@@ -88,6 +88,7 @@ def test_a_policy_without_a_lap_has_nothing_to_be_set_against(smoke_run, tmp_pat
     assert metrics["mean_lap_s"] is None and metrics["optimum_s"] is None
 
 
+@pytest.mark.slow
 def test_the_optimum_is_a_lap_that_nobody_drives(tmp_path):
     bound = raced(tmp_path / "bound", "controller=optimum")
     assert bound["laps"] == bound["valid_laps"] == 1 and bound["e_off"] == 0.0

@@ -20,6 +20,7 @@ from racerl.documents import read_json, write_json
 from racerl.errors import RacerlError
 from racerl.paper import human_lap
 from racerl.report.driver import Driver
+from racerl.report.figures import replay
 from racerl.report.figures.replay import RATES, _columns, _place, heading, side_slip
 from racerl.report.flying_lap import FlyingLap
 from racerl.report.show import show
@@ -49,11 +50,16 @@ console.log(JSON.stringify({half, end: rows.map(r => r.map(c => c.textContent)),
 """
 
 
-@pytest.fixture(scope="module")
-def shown(tmp_path_factory):
-    out = tmp_path_factory.mktemp("show") / "out"
+def shown_by_the_command(out):
     run_command("show", ["paper:rl", "paper:human", f"out={out}"], lambda settings, out: show(settings, out), "drivers")
     return out
+
+
+@pytest.fixture(scope="module")
+def shown(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:  # the film takes a while
+        patch.setattr("racerl.report.show.replay.draw", lambda laps, track, moving: b"no film")
+        return shown_by_the_command(tmp_path_factory.mktemp("show") / "out")
 
 
 @pytest.fixture(scope="module")
@@ -76,8 +82,15 @@ def test_the_page_has_both_laps_from_the_line_on(data):
         assert ahead.sum() > 0.98 * step.sum()
 
 
-def test_the_moving_picture_lasts_as_long_as_the_slower_lap(shown, data):
-    picture = Image.open(io.BytesIO((shown / "laps.gif").read_bytes()))
+def test_a_second_of_a_lap_is_a_moving_picture():
+    driver = Driver.find("paper:rl", Path("outputs"))
+    film = replay.draw([replace(driver.lap, time_s=1.0)], driver.track, replay.writer("lap.gif"))
+    assert Image.open(io.BytesIO(film)).n_frames == int(np.ceil(RATES[".gif"]))
+
+
+@pytest.mark.slow
+def test_the_moving_picture_lasts_as_long_as_the_slower_lap(data, tmp_path):
+    picture = Image.open(io.BytesIO((shown_by_the_command(tmp_path / "out") / "laps.gif").read_bytes()))
     seconds = max(lap["time"] for lap in data["laps"])
     assert picture.n_frames == int(np.ceil(seconds * RATES[".gif"])) and picture.info["duration"] == 80
     assert min(picture.size) > 400

@@ -56,6 +56,7 @@ def test_three_policies_race_in_one_car_and_a_second_start_goes_on(diagnosed, tm
         close(settings_of(diagnosed), tmp_path / "out", compose_settings)
 
 
+@pytest.mark.slow
 def test_the_old_policy_is_refined_in_the_new_model_where_the_budget_refines(diagnosed, tmp_path):
     settings = settings_of(diagnosed, train=["budget=smoke", refinement()])
     facts = close(settings, tmp_path / "out", compose_settings)
