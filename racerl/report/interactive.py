@@ -50,14 +50,14 @@ def draw(laps: Sequence[FlyingLap], track: pd.DataFrame) -> "Figure":
 
     figure = go.Figure()
     world = {"xaxis": "x2", "yaxis": "y9"}
-    recorded = [name for name in CHANNELS if any(np.isfinite(channels(lap, laps[0])[name]).any() for lap in laps)]
+    seen = [channels(lap, laps[0]) for lap in laps]
+    recorded = [name for name in CHANNELS if any(np.isfinite(rows[name]).any() for rows in seen)]
     for side in ("left", "right"):
         x, y = (_listed(np.append(edge, edge[:1])) for edge in track[[f"{side}_x_m", f"{side}_y_m"]].to_numpy().T)
         edge = {"color": "#808080", "width": 1}
         figure.add_scatter(x=x, y=y, mode="lines", line=edge, hoverinfo="skip", showlegend=False, **world)
     for number, lap in enumerate(laps):
         look = {"color": PALETTE[number][0], "width": 2}
-        seen = channels(lap, laps[0])
         shared = {"name": lap.driver, "legendgroup": str(number), "meta": {"lap": number}}
         x, y, s = (_listed(lap.samples[name]) for name in ("x", "y", "s"))
         told = "%{customdata:.2f} m along the track"
@@ -67,7 +67,7 @@ def draw(laps: Sequence[FlyingLap], track: pd.DataFrame) -> "Figure":
         for row, channel in enumerate(recorded):
             axes = {"xaxis": "x", "yaxis": f"y{row + 1}" if row else "y"}
             figure.add_scatter(
-                x=s, y=_listed(seen[channel]), line=look, mode="lines", showlegend=False, **axes, **shared
+                x=s, y=_listed(seen[number][channel]), line=look, mode="lines", showlegend=False, **axes, **shared
             )
     figure.update_layout(**_layout(recorded, laps[0].length))
     return figure
