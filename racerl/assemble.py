@@ -3,15 +3,15 @@
 import ctypes
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from typing import Any, cast
+from dataclasses import dataclass, field
+from typing import Any
 
 import torch
 
 from racerl import bounds
 from racerl.documents import conf_folder as conf_folder
 from racerl.env.actions import Action, create_action
-from racerl.env.observations import create_observation
+from racerl.env.observations import create_observation, settings_of
 from racerl.env.race import Race, Timing
 from racerl.env.races import SEED_STEP, Races
 from racerl.env.randomize import Randomization
@@ -216,5 +216,4 @@ def one_world_each(settings: Settings) -> list[Settings]:
         return [settings]
     worlds = [{**settings, "track": track} for track in (_first(settings["track"]), *others)]
     seen = create_observation(settings["obs"]).fitted(*map(build_track, worlds))
-    observation = {"name": settings["obs"]["name"], **asdict(cast(Any, seen))}
-    return [{**world, "obs": observation} for world in worlds]
+    return [{**world, "obs": settings_of(settings["obs"]["name"], seen)} for world in worlds]

@@ -5,9 +5,9 @@ import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import pandas as pd
 import torch
@@ -18,6 +18,7 @@ from racerl.assemble import build_race, build_races, one_world_each, unlimited
 from racerl.control.policy import Policy, save_policy
 from racerl.documents import MAX_TEXT_BYTES, read_text, write_text
 from racerl.env.black_box import read_failures, write_failures
+from racerl.env.observations import settings_of
 from racerl.env.race import Race
 from racerl.env.races import Races
 from racerl.env.termination import Crash
@@ -244,5 +245,4 @@ def read_progress(run: Path) -> pd.DataFrame:
 
 def policy_of(network: nn.Sequential, race: Race | Races, settings: Mapping[str, Any]) -> Policy:
     """Return a network as a policy for the race it learns in, sharing its weights."""
-    observation = {"name": settings["obs"]["name"], **asdict(cast(Any, race.observation))}
-    return Policy(network, observation, settings["action"])
+    return Policy(network, settings_of(settings["obs"]["name"], race.observation), settings["action"])

@@ -1,8 +1,9 @@
 """What a policy sees, one file each; module `geometric` holds the class `Geometric`."""
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from functools import cache
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, cast
 
 import torch
 from torch import Tensor
@@ -62,6 +63,11 @@ def create_observation(settings: Mapping[str, Any]) -> Observation:
     import racerl.env.observations as package
 
     return registry.create(package, settings)
+
+
+def settings_of(name: str, observation: Observation) -> dict[str, Any]:
+    """Return the settings that build an observation of that name again, with its maxima as they are."""
+    return {"name": name, **asdict(cast(Any, observation))}
 
 
 def check_maxima(**maxima: float) -> None:
