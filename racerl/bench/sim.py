@@ -1,7 +1,8 @@
 """The simulator: control steps per second and thread, of the whole environment and of the dynamics alone.
 
 Cars are driven by random actions, so that episodes end and start over as they do in training. Every figure is the best
-of `repeats` measurements on one thread, taken in turns, beside the same step on plain torch.
+of `repeats` measurements on one thread, taken in turns, beside the same step on plain torch. On a GPU that thread only
+asks for the work, and is timed until all of it is done.
 """
 
 import os
@@ -13,7 +14,7 @@ from typing import Any
 
 import torch
 
-from racerl.assemble import build_race, use_threads
+from racerl.assemble import build_race, choose_device, use_threads
 from racerl.bench import Compose, Progress
 from racerl.env.race import Race
 from racerl.errors import ConfigError
@@ -29,6 +30,7 @@ class Sim:
     cars: tuple[int, ...]
     seconds: float
     repeats: int
+    device: str
 
     def __post_init__(self) -> None:
         if not self.cars or any(isinstance(n, bool) or not isinstance(n, int) or n < 1 for n in self.cars):
@@ -40,12 +42,13 @@ class Sim:
         """Return steps per second and thread by number of cars."""
         settings = compose("train", ["+dr=friction_0.02"])
         use_threads(1)
+        device = choose_device(self.device)
         on_progress(0.0, "building the kernels")
-        built = _build_seconds(build_race(settings, cars=1, seeds=[0]))
+        built = _build_seconds(build_race(settings, cars=1, seeds=[0], device=device))
         whole, dynamics, gradient, plain = {}, {}, {}, {}
         for i, count in enumerate(self.cars):
             on_progress(i / len(self.cars), f"{count} cars")
-            race = build_race(settings, cars=count, seeds=[0])
+            race = build_race(settings, cars=count, seeds=[0], device=device)
             whole[str(count)], dynamics[str(count)], gradient[str(count)], plain[str(count)] = self._rates(race)
         use_threads(threads)
         return {
@@ -61,7 +64,7 @@ class Sim:
     def _rates(self, race: Race) -> list[float]:
         """Return steps per second of environment, dynamics, their gradient, and dynamics on torch."""
         generator = torch.Generator().manual_seed(0)
-        actions = torch.rand(64, race.count, 2, generator=generator) * 2.0 - 1.0
+        actions = (torch.rand(64, race.count, 2, generator=generator) * 2.0 - 1.0).to(race.device)
         for action in actions[:WARM_STEPS]:
             race.step(action)
         inputs = [t.contiguous() for t in (race.state, race.command, race.draws.values)]
@@ -79,17 +82,25 @@ class Sim:
         best = [0.0] * len(works)
         for _ in range(self.repeats):
             for i, work in enumerate(works):
-                best[i] = max(best[i], race.count / self._seconds_of(work))
+                best[i] = max(best[i], race.count / self._seconds_of(work, race.device))
         return best
 
-    def _seconds_of(self, work: Callable[[], Any]) -> float:
+    def _seconds_of(self, work: Callable[[], Any], device: torch.device) -> float:
         """Return the time of one call in s, from as many as fit into the time given."""
         work()
+        _finish(device)
         calls, began = 0, time.perf_counter()
-        while (elapsed := time.perf_counter() - began) < self.seconds or not calls:
+        while time.perf_counter() - began < self.seconds or not calls:
             work()
             calls += 1
-        return elapsed / calls
+        _finish(device)
+        return (time.perf_counter() - began) / calls
+
+
+def _finish(device: torch.device) -> None:
+    """Wait until a GPU has done what it was asked for."""
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
 
 
 def _build_seconds(race: Race) -> float:

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from racerl import bounds
 from racerl.deploy.trained import load_trained
+from racerl.env.memory import filled, moved_on
 from racerl.env.observations import scaled
 from racerl.env.race import Constants, View
 from racerl.track.frenet import FrenetFrame
@@ -89,6 +90,7 @@ class Pilot:
         self._sound_since = self._asked = math.nan
         self._delta = 0.0  # as the steering's model has it
         self._rate = 0.0  # of the drive reference
+        self._past: Tensor  # what was ordered on the steps before, and where the car was then
         self._driving = False
 
     def drive(self, sensed: Sensed, now: float) -> Order:
@@ -113,7 +115,9 @@ class Pilot:
         if not self._driving:
             drive, self._rate = float(self.action.initial(state[OMEGA])), 0.0
         last, rate = torch.tensor([[steering], [drive]]), torch.tensor([self._rate])
-        view = View(state, place, last, rate, self.frame, self.action, self._constant)
+        if not self._driving:
+            self._past = filled(state, last, self.observation.memory)
+        view = View(state, place, last, rate, self._past, self.frame, self.action, self._constant)
         command = self.action.command(self.policy(scaled(self.observation, view)), last, self.period)
         self._driving = True
         delta_ref, drive_ref = command[:, 0].tolist()
@@ -121,6 +125,7 @@ class Pilot:
             return self._stop(now, "the policy gave no finite references")
         drive_ref = min(drive_ref, self.most)  # what is told is what is known of: the car is driven forward with it
         self._rate = (drive_ref - drive) / self.period
+        self._past = moved_on(self._past, state, torch.tensor([[delta_ref], [drive_ref]]))
         self._given.append((now, delta_ref, drive_ref))
         return Order(delta_ref, drive_ref, "")
 

@@ -17,6 +17,7 @@ from racerl.env.actions import Action
 from racerl.env.black_box import BlackBox
 from racerl.env.chosen import Chosen, Masked, Numbered
 from racerl.env.dice import Dice
+from racerl.env.memory import SIZE, filled, moved_on
 from racerl.env.observations import Observation, scaled
 from racerl.env.randomize import ParameterDraws, Randomization
 from racerl.env.reward import progress_reward
@@ -43,6 +44,7 @@ KEPT = (
     "command_rate",
     "history",
     "shown",
+    "past",
     "place",
     "still_time",
     "travelled",
@@ -124,6 +126,7 @@ class View(Rows):
     place: Tensor  # (5, N)
     command: Tensor  # (2, N)
     command_rate: Tensor  # (N,)
+    past: Tensor  # (P, 7, N), what is remembered of earlier control steps
     frame: FrenetFrame
     action: Action
     constant: Callable[[Sequence[float]], Tensor]
@@ -131,7 +134,7 @@ class View(Rows):
     @classmethod
     def of(cls, race: "Race", chosen: Chosen | None) -> "View":
         """Return the view of all cars, or of some."""
-        tensors = (*race.seen(), race.command, race.command_rate)
+        tensors = (*race.seen(), race.command, race.command_rate, race.past)
         if chosen is not None:
             tensors = tuple(map(chosen.take, tensors))  # type: ignore[assignment]
         return cls(*tensors, race.frame, race.action, race.constant)
@@ -192,6 +195,7 @@ class Race(Rows):
         past = samples(self.vehicle, self.timing.dt, self._noisy)
         self._late, self._sensed = late > 0, past > 0
         self.shown = self.state.new_zeros(past, len(STATE), self.count)
+        self.past = self.state.new_zeros(self.observation.memory, SIZE, self.count)  # newest first
         self.command_rate, self.still_time = zeros, zeros
         self.place = zeros.new_zeros(len(PLACE), self.count)
         self.travelled = zeros.double()  # m along the centreline, unwrapped since the episode's start
@@ -202,8 +206,11 @@ class Race(Rows):
         """Return states (S, N) and places (5, N) as the driver's sensors show them."""
         if not self._sensed:
             return self.state, self.place
-        state = seen(self._drawn(), self.shown, self.timing.dt)
+        state = self._seen_state()
         return state, self.frame.locate(state[X], state[Y], state[YAW], self.s)[0]
+
+    def _seen_state(self) -> Tensor:
+        return seen(self._drawn(), self.shown, self.timing.dt) if self._sensed else self.state
 
     @property
     def faults(self) -> int:
@@ -213,6 +220,10 @@ class Race(Rows):
     @faults.setter
     def faults(self, count: int) -> None:
         self._faults = torch.full_like(self._faults, count)
+
+    def told(self) -> Tensor:
+        """Return what is drawn of each car, in standard deviations, (N, P): what no sensor shows."""
+        return self.draws.told()
 
     def observe(self, chosen: Chosen | None = None) -> Tensor:
         """Return the observation (N, O), inside ± OBSERVATION_LIMIT, of all cars or of some."""
@@ -260,6 +271,8 @@ class Race(Rows):
         self.command_rate = (self.command[1] - last[1]) / self.timing.dt
         if self._late:
             self.history = torch.cat([self.command[None], self.history[:-1]])
+        if self.observation.memory:
+            self.past = moved_on(self.past, self._seen_state(), self.command)
 
     def _chosen(self, mask: Tensor) -> Chosen:
         return Numbered(mask.nonzero()[:, 0]) if self.waits else Masked(mask)
@@ -338,9 +351,11 @@ class Race(Rows):
         self.command_rate = chosen.put(self.command_rate, zeros)
         if self._late:
             self.history = chosen.put(self.history, command.expand(len(self.history), -1, -1))
+        first = shown(self._drawn(chosen), state).to(self.dtype) if self._sensed else state
         if self._sensed:
-            first = shown(self._drawn(chosen), state).to(self.dtype)
             self.shown = chosen.put(self.shown, first.expand(len(self.shown), -1, -1))
+        if self.observation.memory:
+            self.past = chosen.put(self.past, filled(first, command, self.observation.memory))
         self.still_time = chosen.put(self.still_time, zeros)
         self.age = chosen.put(self.age, zeros.long())
         self.place = chosen.put(self.place, place)

@@ -87,6 +87,10 @@ class Races:
         for number, race in enumerate(self.races):
             race.reseed([seed + SEED_STEP * number])
 
+    def told(self) -> Tensor:
+        """Return what is drawn of each car, in standard deviations, (N, P)."""
+        return torch.cat([race.told() for race in self.races])
+
     def observe(self) -> Tensor:
         """Return the observation (N, O)."""
         return torch.cat([race.observe() for race in self.races])

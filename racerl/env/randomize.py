@@ -82,6 +82,14 @@ class ParameterDraws:
         table = np.array(list(possible.values()))
         self._cars = torch.tensor(table, device=device, dtype=dtype) if possible else None  # (Q, K)
         self.values = self._nominal.expand(-1, count).clone()  # (P, N)
+        spread = (self._sigma * self._nominal) ** 2
+        if self._cars is not None:
+            spread[: len(possible)] += self._cars.var(dim=1, keepdim=True)
+        self._spread = spread.sqrt().clamp(min=torch.finfo(dtype).tiny)
+
+    def told(self) -> Tensor:
+        """Return how far each car's parameters lie from the middle, in standard deviations, (N, P)."""
+        return ((self.values - self._nominal) / self._spread).T
 
     def draw(self, chosen: Chosen, dice: Dice) -> None:
         """Draw new parameters for some cars."""

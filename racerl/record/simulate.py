@@ -4,6 +4,7 @@ The truth is integrated in double precision with steps finer than the control pe
 has traced. Single precision would not do: after half an hour a step of a millisecond is four units in the last place.
 """
 
+import logging
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,6 +23,8 @@ from racerl.vehicle.integrate import advance
 from racerl.vehicle.ops import TORCH, CasadiOps
 from racerl.vehicle.vehicle import STATE, Vehicle
 
+log = logging.getLogger(__name__)
+
 Array = NDArray[np.float64]
 SPEED_GAIN = 40.0  # A per m/s of wheel speed error, where the car takes currents
 TRACKING = (0.4, 0.1)  # α, β of the driver's estimate of velocities from poses
@@ -33,7 +36,7 @@ class Plant:
     def __init__(self, vehicle: Vehicle, pose: Pose, dt: float, step: float) -> None:
         self.state, self._command = np.zeros(len(vehicle.states)), np.zeros(2)
         self._after = np.zeros(len(vehicle.states))
-        self.state[:3] = pose
+        self.put(pose)
         self._evaluate = self._of_body(vehicle, dt) if vehicle.body else self._traced(vehicle, dt, step)
         self._dt, self._delays = dt, vehicle.delays()
         self._history = [(0.0, 0.0)] * (periods(vehicle, dt) + 1)
@@ -63,6 +66,11 @@ class Plant:
             self._after[:] = motion.advance(0, self.state, self._command.tolist())
 
         return evaluate
+
+    def put(self, pose: Pose) -> None:
+        """Let the car stand somewhere."""
+        self.state[:] = 0.0
+        self.state[:3] = pose
 
     def advance(self, delta_ref: float, drive_ref: float) -> None:
         """Hold a command for one control period."""
@@ -120,7 +128,8 @@ def simulate(
 ) -> Recording:
     """Drive `vehicle` from `pose` by `driving` for `scene.seconds`, integrated with steps of at most `step` s.
 
-    Where the car takes currents, a speed controller follows the driver's wheel speed.
+    Where the car takes currents, a speed controller follows the driver's wheel speed. A body whose equations end, as
+    those of a car that has spun may, is stood up where it was, and a new run begins.
     """
     dt, rows = scene.dt, round(scene.seconds / scene.dt)
     current_limit = float(vehicle.drive.current_limit) if isinstance(vehicle.drive, MotorCurrent) else None
@@ -129,11 +138,16 @@ def simulate(
     measured = sensors.noise(rows, generator)
     run, doing = np.zeros(rows, dtype=np.int64), []
     drive: Drive | None = None
+    stood_up = 0
     for k in range(rows):
-        truth[k] = plant.state[: len(STATE)]
         if not np.isfinite(plant.state).all():
-            last = ", ".join(f"{name} = {value:.4g}" for name, value in zip(STATE, truth[k - 1], strict=True))
-            raise RunError(f"the simulation failed at t = {k * dt:.2f} s after {last}; give a smaller step=")
+            if not vehicle.body:
+                last = ", ".join(f"{name} = {value:.4g}" for name, value in zip(STATE, truth[k - 1], strict=True))
+                raise RunError(f"the simulation failed at t = {k * dt:.2f} s after {last}; give a smaller step=")
+            pose = Pose(*truth[k - 1, :3])
+            plant.put(pose)
+            tracker, stood_up = Tracker(pose, dt), stood_up + 1
+        truth[k] = plant.state[: len(STATE)]
         measured[k, :5] += truth[k, [0, 1, 2, 6, 7]]
         x, y, yaw, delta, omega, _ = measured[k].tolist()
         seen = Measured(k * dt, x, y, yaw, *tracker.update((x, y, yaw)), delta, omega)
@@ -147,9 +161,11 @@ def simulate(
             drive_ref = min(max(SPEED_GAIN * (order.omega_ref - omega), -current_limit), current_limit)
             measured[k, 5] += drive_ref
         command[k] = order.delta_ref, order.omega_ref
-        run[k] = order.run
+        run[k] = order.run + stood_up
         doing.append(order.doing)
         plant.advance(order.delta_ref, drive_ref)
         if k % 2000 == 0:
             on_progress(k / rows)
+    if stood_up:
+        log.warning("its own equations ended %d times, as where a car spins: stood up there, a new run each", stood_up)
     return Recording(dt, run, doing, truth, measured, command, current_limit is not None)

@@ -9,7 +9,7 @@ KL divergence of its updates while the critic keeps learning, and action noise t
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import torch
 from stable_baselines3 import PPO
@@ -126,11 +126,15 @@ def hyperparameters(budget: Budget) -> dict[str, Any]:
 
 
 class RacePPO(PPO):
-    """PPO whose rollouts stay tensors from the simulator to the update."""
+    """PPO whose rollouts stay tensors from the simulator to the update.
 
-    def __init__(self, race: Race | Races, budget: Budget, seed: int) -> None:
+    With `privileged` the critic is told each car's drawn parameters, which the policy has to do without.
+    """
+
+    def __init__(self, race: Race | Races, budget: Budget, seed: int, privileged: bool = False) -> None:
         self.race = race
         self.budget = budget
+        self.privileged = privileged
         self.shuffle = torch.Generator().manual_seed(seed)
         super().__init__(
             env=RaceVecEnv(race),
@@ -141,15 +145,22 @@ class RacePPO(PPO):
             **hyperparameters(budget),
         )
         self.batch_size = budget.batch
-        self.rollout = Rollout(budget.rollout, race.count, race.observation.size, 2, race.device)
+        told = self._told().shape[1]
+        self.rollout = Rollout(budget.rollout, race.count, race.observation.size, 2, race.device, told)
         self.rate_factor = 1.0  # of the actor's scheduled learning rate, when it follows the KL divergence
         self.normaliser = Normaliser(race.observation.size, race.device)
         self._mean = actor_of(self)
+        if told:
+            layers = self.policy.mlp_extractor.value_net
+            layers[0] = _wider(cast(nn.Linear, layers[0]), told)
         self._value = nn.Sequential(*self.policy.mlp_extractor.value_net, self.policy.value_net)
         actor, critic = [*self._mean.parameters(), self.policy.log_std], [*self._value.parameters()]
         groups: list[dict[str, Any]] = [{"params": actor}, {"params": critic}]
         self.policy.optimizer = torch.optim.Adam(groups, eps=budget.adam_epsilon, fused=True)
         self.policy.log_std.requires_grad_(budget.final_std is None)
+
+    def _maybe_recommend_cpu(self, mlp_class_name: str = "") -> None:
+        """Say nothing: with the simulator on the GPU too, small networks are as much at home there."""
 
     def actor(self) -> nn.Sequential:
         """Return the network of the mean action for observations as the race gives them."""
@@ -163,23 +174,24 @@ class RacePPO(PPO):
         self.policy.set_training_mode(False)
         self._set_noise()
         observation, rollout, actor = self.race.observe(), self.rollout, self.actor()
+        told = self._told()
         with torch.no_grad():
             noise = self.policy.log_std.exp() * torch.randn_like(rollout.actions)
             for t in range(n_rollout_steps):
                 action = actor(observation) + noise[t]
                 step = self.race.step(action)
-                rollout.observations[t], rollout.actions[t] = observation, action
+                rollout.observations[t], rollout.actions[t], rollout.told[t] = observation, action, told
                 rollout.rewards[t] = step.reward
-                rollout.cut_off[t] = self._time_out_value(step.truncated, step.final_observation)
+                rollout.cut_off[t] = self._time_out_value(step.truncated, step.final_observation, told)
                 rollout.ended[t] = step.terminated | step.truncated
-                observation = step.observation
+                observation, told = step.observation, self._told()
                 self.num_timesteps += self.race.count
                 if not callback.on_step():
                     return False
             self._moments = moments(rollout.observations)
             rollout.observations.copy_(self._seen(rollout.observations))
             self._judge()
-            rollout.estimate(self._values(observation), self.gamma, self.gae_lambda)
+            rollout.estimate(self._values(observation, told), self.gamma, self.gae_lambda)
         callback.on_rollout_end()
         return True
 
@@ -187,26 +199,34 @@ class RacePPO(PPO):
         """Fill in values and action densities of a rollout whose observations are as the networks see them."""
         rollout = self.rollout
         parts = max(1, JUDGED_AT_ONCE // rollout.cars)
-        tables = (rollout.observations, rollout.actions, rollout.values, rollout.log_probs)
+        tables = (rollout.observations, rollout.told, rollout.actions, rollout.values, rollout.log_probs)
         with fast_products(self.device, self.budget.bf16):
-            for seen, actions, values, log_probs in zip(*(table.split(parts) for table in tables), strict=True):
-                values.copy_(self._value(seen).squeeze(-1))
+            for seen, told, actions, values, log_probs in zip(*(table.split(parts) for table in tables), strict=True):
+                values.copy_(self._judged(seen, told))
                 log_probs.copy_(self._log_prob(self._mean(seen), actions))
 
-    def _time_out_value(self, truncated: Tensor, final: Tensor) -> Tensor:
+    def _time_out_value(self, truncated: Tensor, final: Tensor, told: Tensor) -> Tensor:
         """Return γ·V of the final observation where an episode was cut off, else 0; shape (N,)."""
         if self.race.waits and not bool(truncated.any()):
             return torch.zeros_like(truncated, dtype=final.dtype)
-        return self.gamma * self._values(final) * truncated
+        return self.gamma * self._values(final, told) * truncated
 
     def _seen(self, observations: Tensor) -> Tensor:
         """Return what the networks are shown."""
         return self.normaliser(observations) if self.budget.normalise else observations
 
-    def _values(self, observations: Tensor) -> Tensor:
-        """Return the critic's values (N,)."""
-        values: Tensor = self._value(self._seen(observations))
-        return values.flatten()
+    def _told(self) -> Tensor:
+        """Return what the critic alone is told (N, K)."""
+        return self.race.told() if self.privileged else torch.empty(self.race.count, 0, device=self.race.device)
+
+    def _values(self, observations: Tensor, told: Tensor) -> Tensor:
+        """Return the critic's values (N,) of observations as the race gives them."""
+        return self._judged(self._seen(observations), told)
+
+    def _judged(self, seen: Tensor, told: Tensor) -> Tensor:
+        """Return the critic's values (…) of what the networks see (…, O) and what it alone is told (…, K)."""
+        values: Tensor = self._value(torch.cat([seen, told], dim=-1) if told.shape[-1] else seen)
+        return values.squeeze(-1)
 
     def _log_prob(self, mean: Tensor, actions: Tensor) -> Tensor:
         """Return the log density (…) of actions (…, 2), normally distributed around their mean."""
@@ -262,7 +282,7 @@ class RacePPO(PPO):
         advantages = (batch.advantages - batch.advantages.mean()) / (batch.advantages.std() + 1e-8)
         clip = self.budget.clip
         policy_loss = -torch.minimum(advantages * ratio, advantages * ratio.clamp(1 - clip, 1 + clip)).mean()
-        value_loss = nn.functional.mse_loss(self._value(batch.observations).flatten().float(), batch.returns)
+        value_loss = nn.functional.mse_loss(self._judged(batch.observations, batch.told).float(), batch.returns)
         loss = self.vf_coef * value_loss
         if not resting:
             entropy = (self.policy.log_std + 0.5 * math.log(2 * math.pi * math.e)).sum()
@@ -298,6 +318,14 @@ class RacePPO(PPO):
 def actor_of(model: PPO) -> nn.Sequential:
     """Return the mean action's network of any of Stable-Baselines3's PPO policies, sharing its weights."""
     return nn.Sequential(*model.policy.mlp_extractor.policy_net, model.policy.action_net)
+
+
+def _wider(layer: nn.Linear, more: int) -> nn.Linear:
+    """Return a layer for so many inputs more, drawn as Stable-Baselines3 draws hidden layers."""
+    wider = nn.Linear(layer.in_features + more, layer.out_features, device=layer.weight.device)
+    nn.init.orthogonal_(wider.weight, math.sqrt(2.0))
+    nn.init.zeros_(wider.bias)
+    return wider
 
 
 class _LeakyReLU(nn.LeakyReLU):

@@ -34,6 +34,52 @@ def test_progress_ends_with_the_place():
     assert float(seen[-1]) == pytest.approx(4.0 / race.track.length, abs=1e-4)
 
 
+def looking_back(race, car=0):
+    """Return what a car sees of the steps before, in units (steps, 7), the latest first."""
+    maxima = torch.tensor([seen.maximum for seen in race.observation.sees(race.action)])
+    return (race.observe()[car] * maxima)[50:].reshape(-1, 7)
+
+
+def test_history_shows_what_the_car_did_and_what_it_was_told():
+    race = make("obs=history", "obs.steps=3", cars=2)
+    assert race.observe().shape == (2, 71)
+    place(race, s=4.0, speed=2.0)
+    gone = []
+    for number in range(5):
+        before = race.state[:, 0].clone()
+        race.step(torch.full((2, 2), 0.2 * number - 0.4))
+        gone.insert(0, [*before[[3, 4, 5, 6, 7]].tolist(), *race.command[:, 0].tolist()])
+    torch.testing.assert_close(looking_back(race), torch.tensor(gone[:3]), rtol=1e-5, atol=1e-5)
+    plain = make(cars=2)
+    plain.state, plain.place, plain.command, plain.command_rate = (
+        race.state,
+        race.place,
+        race.command,
+        race.command_rate,
+    )
+    assert torch.equal(race.observe()[:, :50], plain.observe())
+
+
+def test_a_car_that_starts_over_remembers_nothing_of_the_one_before():
+    race = make("obs=history", "obs.steps=4", cars=2)
+    for _ in range(3):
+        race.step(torch.rand(2, 2) * 2 - 1)
+    other = looking_back(race, car=1)
+    race.restart(torch.tensor([True, False]))
+    start = torch.tensor([*race.state[[3, 4, 5, 6, 7], 0].tolist(), *race.command[:, 0].tolist()])
+    torch.testing.assert_close(looking_back(race), start.expand(4, -1))
+    assert torch.equal(looking_back(race, car=1), other)
+
+
+def test_history_remembers_what_the_sensors_showed():
+    race = make("obs=history", "obs.steps=2", "+dr.estimate={v_x: 0.5}", cars=1)
+    race.step(torch.zeros(1, 2))
+    shown = race.observe()[0, 0] * 6.0
+    assert abs(shown - race.state[3, 0]) > 1e-3
+    race.step(torch.zeros(1, 2))
+    assert looking_back(race)[0, 0] == pytest.approx(float(shown), abs=1e-5)
+
+
 def test_geometric_does_not_depend_on_the_place_of_an_equal_track():
     """A car sees the same on two stretches with the same curvature: here, on a circle."""
     race = make(cars=2)
@@ -74,6 +120,8 @@ def test_every_module_is_found_and_builds(package):
         ({"name": "geometric", "points": "many"}, "geometric"),
         ({"name": "geometric", "curvature_max": -1}, "curvature_max"),
         ({"name": "progress", "length": "far"}, "length"),
+        ({"name": "history", "steps": 0}, "steps"),
+        ({"name": "history", "steps": 2.5}, "steps"),
     ],
 )
 def test_wrong_settings_are_named(settings, said):

@@ -35,9 +35,9 @@ SMALL = {
 SMALL.pop("refinement")  # not PPO's
 
 
-def learner(race=None, seed=0, **changes):
+def learner(race=None, seed=0, privileged=False, **changes):
     budget = Budget.of({**SMALL, **changes})
-    model = RacePPO(race or make(cars=budget.cars), budget, seed)
+    model = RacePPO(race or make(cars=budget.cars), budget, seed, privileged)
     model.set_logger(configure(None, []))
     return model
 
@@ -75,8 +75,45 @@ def test_a_time_out_is_bootstrapped_and_an_end_is_not():
     assert torch.isfinite(final).all()
     model.policy.value_net.bias.data += 100.0
     truncated = torch.tensor([True, False, True])
-    added = model._time_out_value(truncated, torch.zeros(3, 50)).detach()
+    added = model._time_out_value(truncated, torch.zeros(3, 50), torch.zeros(3, 0)).detach()
     assert float(added[0]) == pytest.approx(0.95 * (float(final) + 100.0), rel=1e-5) and float(added[1]) == 0.0
+
+
+def test_a_privileged_critic_knows_the_cars_apart_and_the_policy_does_not():
+    """Progress is a share of the car's friction here, which no observation shows: only who is told can foretell it."""
+    spread = ["dr=all_0.1", "dr.parameters=[friction]", "sim.max_steps=40"]
+    foretold = {}
+    for privileged in (False, True):
+        model = learner(make(*spread, cars=64), privileged=privileged, gamma=0.5, learning_rate=3e-3)
+        honest = model.race.step
+
+        def step(action, race=model.race, honest=honest):
+            told = race.told()[:, 0].clone()
+            return honest(action)._replace(reward=told)
+
+        model.race.step = step  # type: ignore[method-assign]
+        model.learn(60_000)
+        assert model.actor()[0].in_features == 50
+        foretold[privileged] = model.logger.name_to_value["train/explained_variance"]
+    assert foretold[True] > 0.9 > 0.3 > foretold[False]
+
+
+def test_a_privileged_critic_is_told_of_the_car_that_was_cut_off_and_not_of_the_next():
+    model = learner(make("dr=friction_0.1", "sim.max_steps=5", cars=8), privileged=True)
+    asked, before, honest = [], [], model.race.step
+
+    def step(action):
+        before.append(model.race.told().clone())
+        return honest(action)
+
+    model.race.step = step  # type: ignore[method-assign]
+    values = model._values
+    model._values = lambda seen, told: asked.append(told.clone()) or values(seen, told)  # type: ignore
+    model.learn(1)
+    cut = (model.rollout.cut_off != 0).any(dim=1).nonzero()[:, 0].tolist()
+    assert cut
+    for told, at in zip(asked, cut, strict=False):  # the last call is for what comes after the rollout
+        assert torch.equal(told, before[at]) and torch.equal(model.rollout.told[at], before[at])
 
 
 def test_the_logged_reward_is_that_of_the_race():

@@ -83,6 +83,12 @@ def test_at_walking_pace_it_turns_as_its_wheels_point():
     assert last[7] == pytest.approx(0.6, abs=0.01) and last[6] == pytest.approx(0.1, abs=1e-3)
 
 
+def test_from_rest_it_drives_off_with_its_wheels():
+    rows = driven(CommonroadMb(vehicle()), [(0.0, 1.5)] * 40, 0.02, [0.0] * 8)
+    assert rows[-1, 3] == pytest.approx(1.5, abs=0.05) and rows[-1, 0] > 0.8
+    assert np.abs(rows[-10:, 7] - rows[-10:, 3]).max() < 0.01
+
+
 def test_shorter_steps_change_little(monkeypatch):
     asked = [(0.2, 4.0)] * 15, 0.02, [0.0, 0.0, 0.0, 3.0, 0.0, 0.0, 0.0, 3.0]
     coarse = driven(CommonroadMb(vehicle()), *asked)
@@ -150,6 +156,23 @@ def test_no_least_lap_is_known_of_it_and_that_ends_nothing(caplog):
     track, action = build_track(asked | {"track": {"file": "oval.csv"}}), build_action(compose_settings("train"))
     assert known(vehicle(), track, action) is None and found(vehicle(), track, action) is None
     assert "of body commonroad_mb no least lap time is known" in caplog.text
+
+
+def test_where_its_equations_end_it_is_stood_up_and_a_new_run_begins(tmp_path, monkeypatch, caplog):
+    honest, calls = BodyMotion.advance, []
+
+    def advance(self, car, state, command):
+        calls.append(state.copy())
+        moved = honest(self, car, state, command)
+        return moved * float("nan") if len(calls) == 30 else moved
+
+    monkeypatch.setattr(BodyMotion, "advance", advance)
+    words = ["vehicle=published", "car=commonroad_mb", "drive=race", "seconds=1", "rate=50"]
+    record(compose_settings("record", words), tmp_path / "a")
+    log = pd.read_parquet(tmp_path / "a" / "log.parquet")
+    assert log["run"].tolist() == [0] * 30 + [1] * 20 and np.isfinite(log.select_dtypes("number")).all(axis=None)
+    np.testing.assert_array_equal(calls[30], [*calls[29][:3], *[0.0] * 5])  # it stands where it was
+    assert log["omega"].iloc[-1] > 0.05 and "stood up there" in caplog.text
 
 
 def test_it_is_recorded_and_says_so(tmp_path):

@@ -44,6 +44,10 @@ class Observation(Protocol):
     def size(self) -> int:
         """Numbers per car."""
 
+    @property
+    def memory(self) -> int:
+        """Control steps that it looks back, for which races keep what `racerl.env.memory` has."""
+
     def fitted(self, *tracks: Track) -> "Observation":
         """Return the observation with its maxima taken from the tracks, where they are not given.
 

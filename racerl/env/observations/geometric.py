@@ -34,6 +34,11 @@ class Geometric:
             raise ValueError(f"points = {self.points} (1 … 500), spacing = {self.spacing} m (0.01 … 50)")
 
     @property
+    def memory(self) -> int:
+        """It looks at the present only."""
+        return 0
+
+    @property
     def size(self) -> int:
         """10 numbers of the car and two per preview point."""
         return 10 + 2 * self.points

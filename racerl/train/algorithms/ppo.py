@@ -9,6 +9,7 @@ from typing import Any
 
 from stable_baselines3.common.callbacks import BaseCallback
 
+from racerl import bounds
 from racerl.control.policy import Policy
 from racerl.errors import Diverged
 from racerl.train.checkpoint import FILE, counters, keep, put_into, recover, tensors_of
@@ -20,12 +21,17 @@ from racerl.train.session import Progress, Session, policy_of, require_finite_we
 class Ppo:
     """PPO; its numbers stand in the budget."""
 
+    privileged: bool = False  # the critic is told what is drawn of each car
+
+    def __post_init__(self) -> None:
+        bounds.switch("algo.privileged", self.privileged)
+
     def train(self, session: Session) -> dict[str, Any]:
         """Train for `budget.steps` control steps."""
         budget = Budget.of(session.settings["budget"])
         race = session.build_races(budget.cars)
         session.start()
-        model = RacePPO(race, budget, session.seed)
+        model = RacePPO(race, budget, session.seed, self.privileged)
         model.set_logger(session.logger)
         trainer = Trainer(session)
         try:

@@ -91,7 +91,9 @@ class CommonroadMb:
         k_4 = self._rates(_along(own, k_3, h), command)
         total = [a + 2.0 * (b + c) + d for a, b, c, d in zip(k_1, k_2, k_3, k_4, strict=True)]
         moved = _along(own, total, h / 6)
-        moved[WHEELS] = [max(wheel, 0.0) for wheel in moved[WHEELS]]  # the source's wheels never turn backwards
+        standing = abs(moved[V_X]) < STANDING  # nothing holds the source's wheels then: they would race
+        wheels = [moved[V_X] / self.parameters.R_w] * 4 if standing else moved[WHEELS]
+        moved[WHEELS] = [max(wheel, 0.0) for wheel in wheels]  # they never turn backwards
         return moved
 
     def _rates(self, own: list[float], command: tuple[float, float]) -> list[float]:
