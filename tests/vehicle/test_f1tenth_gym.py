@@ -25,7 +25,7 @@ def vehicle():
 
 @pytest.mark.skipif(THERE, reason="F1TENTH's gym is installed")
 def test_without_the_gym_it_says_where_to_get_it():
-    with pytest.raises(VehicleError, match="pip install 'git\\+https://github.com/f1tenth/f1tenth_gym'"):
+    with pytest.raises(VehicleError, match=r"pip install 'git\+https://github.com/f1tenth/f1tenth_gym'"):
         F1tenthGym(vehicle())
 
 
