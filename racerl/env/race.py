@@ -192,9 +192,9 @@ class Race(Rows):
         noise = self.noise or self.randomization.estimate
         self.spread = self.constant([float(noise.get(name, 0.0)) for name in STATE])[:, None]
         self._noisy = any(noise.values())
-        past = samples(self.vehicle, self.timing.dt, self._noisy)
-        self._late, self._sensed = late > 0, past > 0
-        self.shown = self.state.new_zeros(past, len(STATE), self.count)
+        shown_before = samples(self.vehicle, self.timing.dt, self._noisy)
+        self._late, self._sensed = late > 0, shown_before > 0
+        self.shown = self.state.new_zeros(shown_before, len(STATE), self.count)
         self.past = self.state.new_zeros(self.observation.memory, SIZE, self.count)  # newest first
         self.command_rate, self.still_time = zeros, zeros
         self.place = zeros.new_zeros(len(PLACE), self.count)
@@ -221,9 +221,9 @@ class Race(Rows):
     def faults(self, count: int) -> None:
         self._faults = torch.full_like(self._faults, count)
 
-    def told(self) -> Tensor:
+    def privileged(self) -> Tensor:
         """Return what is drawn of each car, in standard deviations, (N, P): what no sensor shows."""
-        return self.draws.told()
+        return self.draws.privileged()
 
     def observe(self, chosen: Chosen | None = None) -> Tensor:
         """Return the observation (N, O), inside ± OBSERVATION_LIMIT, of all cars or of some."""

@@ -87,9 +87,9 @@ class Races:
         for number, race in enumerate(self.races):
             race.reseed([seed + SEED_STEP * number])
 
-    def told(self) -> Tensor:
+    def privileged(self) -> Tensor:
         """Return what is drawn of each car, in standard deviations, (N, P)."""
-        return torch.cat([race.told() for race in self.races])
+        return torch.cat([race.privileged() for race in self.races])
 
     def observe(self) -> Tensor:
         """Return the observation (N, O)."""

@@ -27,6 +27,9 @@ from racerl.vehicle.cars import read_cars
 from racerl.vehicle.parameter import specifications, values
 from racerl.vehicle.vehicle import Vehicle
 
+LEAST_SPREAD = 1e-3  # share of a parameter, as whose standard deviation any counts at least
+FARTHEST = 10.0  # standard deviations, that a critic is told of
+
 
 @dataclass(frozen=True)
 class Randomization:
@@ -82,14 +85,16 @@ class ParameterDraws:
         table = np.array(list(possible.values()))
         self._cars = torch.tensor(table, device=device, dtype=dtype) if possible else None  # (Q, K)
         self.values = self._nominal.expand(-1, count).clone()  # (P, N)
-        spread = (self._sigma * self._nominal) ** 2
+        self._middle, variance = self._nominal.clone(), (self._sigma * self._nominal) ** 2
         if self._cars is not None:
-            spread[: len(possible)] += self._cars.var(dim=1, keepdim=True)
-        self._spread = spread.sqrt().clamp(min=torch.finfo(dtype).tiny)
+            self._middle[: len(possible)] = self._cars.mean(dim=1, keepdim=True)
+            variance[: len(possible)] += self._cars.var(dim=1, correction=0, keepdim=True)
+        self._spread = torch.maximum(variance.sqrt(), LEAST_SPREAD * self._middle.abs().clamp(min=LEAST_SPREAD))
 
-    def told(self) -> Tensor:
-        """Return how far each car's parameters lie from the middle, in standard deviations, (N, P)."""
-        return ((self.values - self._nominal) / self._spread).T
+    def privileged(self) -> Tensor:
+        """Return how far each car's parameters lie from the middle of all, in standard deviations, (N, P)."""
+        shares = (self.values - self._middle) / self._spread
+        return shares.clamp(-FARTHEST, FARTHEST).T
 
     def draw(self, chosen: Chosen, dice: Dice) -> None:
         """Draw new parameters for some cars."""

@@ -158,7 +158,8 @@ def learned(settings: Mapping[str, Any]) -> str:
     if name == "trained":
         before = str(algorithm.get("learned"))
         return before.removesuffix(ONWARD) + ONWARD if refined else before
-    return ("PPO" if name == "ppo" else name) + (" refined" if refined else "")
+    by = "PPO" if name == "ppo" else name
+    return by + (" with a privileged critic" if algorithm.get("privileged") else "") + (" refined" if refined else "")
 
 
 def seeds_of(value: Any) -> list[int]:

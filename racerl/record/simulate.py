@@ -13,6 +13,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from racerl.env.race import LARGEST
 from racerl.errors import RunError
 from racerl.record.drivers import Drive, Measured, Pose, Scene
 from racerl.record.sensors import Sensors
@@ -27,6 +28,7 @@ log = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
 SPEED_GAIN = 40.0  # A per m/s of wheel speed error, where the car takes currents
+FAILS_AGAIN = 10  # rows after a car was stood up, within which another failure ends the drive
 TRACKING = (0.4, 0.1)  # α, β of the driver's estimate of velocities from poses
 
 
@@ -138,15 +140,15 @@ def simulate(
     measured = sensors.noise(rows, generator)
     run, doing = np.zeros(rows, dtype=np.int64), []
     drive: Drive | None = None
-    stood_up = 0
+    stood_up, stood = 0, -FAILS_AGAIN
     for k in range(rows):
-        if not np.isfinite(plant.state).all():
-            if not vehicle.body:
+        if not (np.abs(plant.state) < LARGEST).all():
+            if not vehicle.body or k - stood < FAILS_AGAIN:
                 last = ", ".join(f"{name} = {value:.4g}" for name, value in zip(STATE, truth[k - 1], strict=True))
                 raise RunError(f"the simulation failed at t = {k * dt:.2f} s after {last}; give a smaller step=")
             pose = Pose(*truth[k - 1, :3])
             plant.put(pose)
-            tracker, stood_up = Tracker(pose, dt), stood_up + 1
+            tracker, stood_up, stood = Tracker(pose, dt), stood_up + 1, k
         truth[k] = plant.state[: len(STATE)]
         measured[k, :5] += truth[k, [0, 1, 2, 6, 7]]
         x, y, yaw, delta, omega, _ = measured[k].tolist()

@@ -145,14 +145,14 @@ class RacePPO(PPO):
             **hyperparameters(budget),
         )
         self.batch_size = budget.batch
-        told = self._told().shape[1]
-        self.rollout = Rollout(budget.rollout, race.count, race.observation.size, 2, race.device, told)
+        more = self._privileged().shape[1]
+        self.rollout = Rollout(budget.rollout, race.count, race.observation.size, 2, race.device, more)
         self.rate_factor = 1.0  # of the actor's scheduled learning rate, when it follows the KL divergence
         self.normaliser = Normaliser(race.observation.size, race.device)
         self._mean = actor_of(self)
-        if told:
+        if more:
             layers = self.policy.mlp_extractor.value_net
-            layers[0] = _wider(cast(nn.Linear, layers[0]), told)
+            layers[0] = _wider(cast(nn.Linear, layers[0]), more)
         self._value = nn.Sequential(*self.policy.mlp_extractor.value_net, self.policy.value_net)
         actor, critic = [*self._mean.parameters(), self.policy.log_std], [*self._value.parameters()]
         groups: list[dict[str, Any]] = [{"params": actor}, {"params": critic}]
@@ -174,24 +174,24 @@ class RacePPO(PPO):
         self.policy.set_training_mode(False)
         self._set_noise()
         observation, rollout, actor = self.race.observe(), self.rollout, self.actor()
-        told = self._told()
+        privileged = self._privileged()
         with torch.no_grad():
             noise = self.policy.log_std.exp() * torch.randn_like(rollout.actions)
             for t in range(n_rollout_steps):
                 action = actor(observation) + noise[t]
                 step = self.race.step(action)
-                rollout.observations[t], rollout.actions[t], rollout.told[t] = observation, action, told
+                rollout.observations[t], rollout.actions[t], rollout.privileged[t] = observation, action, privileged
                 rollout.rewards[t] = step.reward
-                rollout.cut_off[t] = self._time_out_value(step.truncated, step.final_observation, told)
+                rollout.cut_off[t] = self._time_out_value(step.truncated, step.final_observation, privileged)
                 rollout.ended[t] = step.terminated | step.truncated
-                observation, told = step.observation, self._told()
+                observation, privileged = step.observation, self._privileged()
                 self.num_timesteps += self.race.count
                 if not callback.on_step():
                     return False
             self._moments = moments(rollout.observations)
             rollout.observations.copy_(self._seen(rollout.observations))
             self._judge()
-            rollout.estimate(self._values(observation, told), self.gamma, self.gae_lambda)
+            rollout.estimate(self._values(observation, privileged), self.gamma, self.gae_lambda)
         callback.on_rollout_end()
         return True
 
@@ -199,33 +199,35 @@ class RacePPO(PPO):
         """Fill in values and action densities of a rollout whose observations are as the networks see them."""
         rollout = self.rollout
         parts = max(1, JUDGED_AT_ONCE // rollout.cars)
-        tables = (rollout.observations, rollout.told, rollout.actions, rollout.values, rollout.log_probs)
+        tables = (rollout.observations, rollout.privileged, rollout.actions, rollout.values, rollout.log_probs)
         with fast_products(self.device, self.budget.bf16):
-            for seen, told, actions, values, log_probs in zip(*(table.split(parts) for table in tables), strict=True):
-                values.copy_(self._judged(seen, told))
+            for seen, privileged, actions, values, log_probs in zip(
+                *(table.split(parts) for table in tables), strict=True
+            ):
+                values.copy_(self._judged(seen, privileged))
                 log_probs.copy_(self._log_prob(self._mean(seen), actions))
 
-    def _time_out_value(self, truncated: Tensor, final: Tensor, told: Tensor) -> Tensor:
+    def _time_out_value(self, truncated: Tensor, final: Tensor, privileged: Tensor) -> Tensor:
         """Return γ·V of the final observation where an episode was cut off, else 0; shape (N,)."""
         if self.race.waits and not bool(truncated.any()):
             return torch.zeros_like(truncated, dtype=final.dtype)
-        return self.gamma * self._values(final, told) * truncated
+        return self.gamma * self._values(final, privileged) * truncated
 
     def _seen(self, observations: Tensor) -> Tensor:
         """Return what the networks are shown."""
         return self.normaliser(observations) if self.budget.normalise else observations
 
-    def _told(self) -> Tensor:
+    def _privileged(self) -> Tensor:
         """Return what the critic alone is told (N, K)."""
-        return self.race.told() if self.privileged else torch.empty(self.race.count, 0, device=self.race.device)
+        return self.race.privileged() if self.privileged else torch.empty(self.race.count, 0, device=self.race.device)
 
-    def _values(self, observations: Tensor, told: Tensor) -> Tensor:
+    def _values(self, observations: Tensor, privileged: Tensor) -> Tensor:
         """Return the critic's values (N,) of observations as the race gives them."""
-        return self._judged(self._seen(observations), told)
+        return self._judged(self._seen(observations), privileged)
 
-    def _judged(self, seen: Tensor, told: Tensor) -> Tensor:
+    def _judged(self, seen: Tensor, privileged: Tensor) -> Tensor:
         """Return the critic's values (…) of what the networks see (…, O) and what it alone is told (…, K)."""
-        values: Tensor = self._value(torch.cat([seen, told], dim=-1) if told.shape[-1] else seen)
+        values: Tensor = self._value(torch.cat([seen, privileged], dim=-1) if privileged.shape[-1] else seen)
         return values.squeeze(-1)
 
     def _log_prob(self, mean: Tensor, actions: Tensor) -> Tensor:
@@ -282,7 +284,7 @@ class RacePPO(PPO):
         advantages = (batch.advantages - batch.advantages.mean()) / (batch.advantages.std() + 1e-8)
         clip = self.budget.clip
         policy_loss = -torch.minimum(advantages * ratio, advantages * ratio.clamp(1 - clip, 1 + clip)).mean()
-        value_loss = nn.functional.mse_loss(self._judged(batch.observations, batch.told).float(), batch.returns)
+        value_loss = nn.functional.mse_loss(self._judged(batch.observations, batch.privileged).float(), batch.returns)
         loss = self.vf_coef * value_loss
         if not resting:
             entropy = (self.policy.log_std + 0.5 * math.log(2 * math.pi * math.e)).sum()

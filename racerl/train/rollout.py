@@ -15,21 +15,21 @@ class Minibatch(NamedTuple):
     log_probs: Tensor
     advantages: Tensor
     returns: Tensor
-    told: Tensor
+    privileged: Tensor
 
 
 class Rollout:
     """T steps of N cars."""
 
     def __init__(
-        self, steps: int, cars: int, observation_size: int, action_size: int, device: torch.device, told: int = 0
+        self, steps: int, cars: int, observation_size: int, action_size: int, device: torch.device, privileged: int = 0
     ) -> None:
         def table(*shape: int) -> Tensor:
             return torch.zeros(steps, cars, *shape, device=device)
 
         self.steps, self.cars = steps, cars
         self.observations, self.actions = table(observation_size), table(action_size)
-        self.told = table(told)  # numbers for the critic alone
+        self.privileged = table(privileged)  # numbers for the critic alone
         self.rewards, self.values, self.log_probs, self.ended = table(), table(), table(), table()
         self.cut_off = table()  # γ·V of the final observation where an episode was cut off, else 0
         self.advantages, self.returns = table(), table()
@@ -58,7 +58,7 @@ class Rollout:
             self.log_probs,
             self.advantages,
             self.returns,
-            self.told,
+            self.privileged,
         )
         flat = [table.flatten(0, 1) for table in tables]
         total = self.steps * self.cars

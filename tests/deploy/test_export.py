@@ -19,7 +19,7 @@ from racerl.errors import ConfigError, RunError
 from racerl.vehicle.compiler import find_compiler
 from tests.env.test_race import make
 
-WORDS = [[], ["action=speed"], ["obs=progress"], ["action=current", "sim=motor_current"]]
+WORDS = [[], ["action=speed"], ["obs=progress"], ["obs=history"], ["action=current", "sim=motor_current"]]
 
 
 def driver_of(*words):

@@ -79,12 +79,20 @@ def test_all_tracks_are_seen_in_one_scale():
 
 
 def test_a_snapshot_goes_on_bit_for_bit():
-    words = ["+dr=friction_0.02", "sim.max_steps=20"]
+    words = ["+dr=friction_0.02", "sim.max_steps=20", "obs=history"]
     race, other = make(*words, seed=1), make(*words, seed=2)
     driven(race, 15)
     other.restore({name: tensor.clone() for name, tensor in race.snapshot().items()})
     for a, b in zip(driven(race, 40, seed=7), driven(other, 40, seed=7), strict=True):
         assert all(torch.equal(*pair) for pair in zip(a, b, strict=True))
+
+
+def test_all_that_a_privileged_critic_is_told_is_in_the_order_of_the_cars():
+    race = make("+dr=friction_0.02")
+    told = race.privileged()
+    assert told.shape == (8, 1) and len(told.unique()) == 8
+    friction = torch.cat([each.draws.values for each in race.races], dim=-1)[0]
+    torch.testing.assert_close(told[:, 0], (friction / 0.8 - 1.0) / 0.02, rtol=1e-3, atol=1e-3)
 
 
 def test_cars_are_put_and_started_over_by_their_numbers():

@@ -77,6 +77,17 @@ def test_cars_of_a_run_are_drawn_whole_and_what_else_is_chosen_is_multiplied_on_
     assert both.draws.names == ["yaw_inertia", "front.p_Ky1", "friction"]
     expected = [np.hypot(shares.std(), 0.05), shares.std(), 0.05]
     assert factor.std(dim=1).tolist() == pytest.approx(expected, rel=0.05)
+    told = both.privileged()  # standard deviations from the middle of all
+    assert told.shape == (5000, 3) and told.mean(dim=0).abs().max() < 0.05
+    assert told.std(dim=0).tolist() == pytest.approx([1.0, 1.0, 1.0], rel=0.05)
+
+
+def test_of_cars_that_are_all_alike_a_critic_is_told_nothing_absurd(tmp_path):
+    vehicle = make("vehicle=published").vehicle
+    inertia = float(vehicle.yaw_inertia) * (1.0 + 5e-5)  # as a file may round
+    write_cars(tmp_path, vehicle, ("yaw_inertia",), np.full((9, 1), inertia))
+    race = make("vehicle=published", f"dr=posterior:{tmp_path}", cars=50)
+    assert race.privileged().abs().max() < 0.01
 
 
 def test_noise_is_on_what_is_seen_and_what_is_done():

@@ -80,7 +80,7 @@ def test_a_time_out_is_bootstrapped_and_an_end_is_not():
 
 
 def test_a_privileged_critic_knows_the_cars_apart_and_the_policy_does_not():
-    """Progress is a share of the car's friction here, which no observation shows: only who is told can foretell it."""
+    """The reward is the car's friction here, which no observation shows: only who is told can foretell it."""
     spread = ["dr=all_0.1", "dr.parameters=[friction]", "sim.max_steps=40"]
     foretold = {}
     for privileged in (False, True):
@@ -88,7 +88,7 @@ def test_a_privileged_critic_knows_the_cars_apart_and_the_policy_does_not():
         honest = model.race.step
 
         def step(action, race=model.race, honest=honest):
-            told = race.told()[:, 0].clone()
+            told = race.privileged()[:, 0].clone()
             return honest(action)._replace(reward=told)
 
         model.race.step = step  # type: ignore[method-assign]
@@ -103,7 +103,7 @@ def test_a_privileged_critic_is_told_of_the_car_that_was_cut_off_and_not_of_the_
     asked, before, honest = [], [], model.race.step
 
     def step(action):
-        before.append(model.race.told().clone())
+        before.append(model.race.privileged().clone())
         return honest(action)
 
     model.race.step = step  # type: ignore[method-assign]
@@ -111,9 +111,9 @@ def test_a_privileged_critic_is_told_of_the_car_that_was_cut_off_and_not_of_the_
     model._values = lambda seen, told: asked.append(told.clone()) or values(seen, told)  # type: ignore
     model.learn(1)
     cut = (model.rollout.cut_off != 0).any(dim=1).nonzero()[:, 0].tolist()
-    assert cut
-    for told, at in zip(asked, cut, strict=False):  # the last call is for what comes after the rollout
-        assert torch.equal(told, before[at]) and torch.equal(model.rollout.told[at], before[at])
+    assert cut and len(asked) == len(cut) + 1  # the last is for what comes after the rollout
+    for told, at in zip(asked, cut, strict=False):
+        assert torch.equal(told, before[at]) and torch.equal(model.rollout.privileged[at], before[at])
 
 
 def test_the_logged_reward_is_that_of_the_race():

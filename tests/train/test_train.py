@@ -79,6 +79,7 @@ def test_an_interrupted_run_resumes_bit_for_bit(smoke_run, tmp_path, monkeypatch
 
 def test_the_course_of_a_run_pulled_twice_is_that_of_an_undisturbed_one(tmp_path, monkeypatch):
     words = ["budget.steps=6144", "budget.final_std=0.1", "budget.final_learning_rate=1e-5", "budget.normalise=true"]
+    words += ["obs=history", "algo.privileged=true"]
     settings = compose_settings("train", [*SMOKE, "dr=friction_0.02", *words])
     train(settings, tmp_path / "whole")
     pull = pull_at(1024, 2048, 4096)

@@ -13,9 +13,7 @@ from racerl.vehicle.load import load_vehicle
 from tests.vehicle.test_bodies import driven
 
 THERE = importlib.util.find_spec("f110_gym") is not None
-gym = pytest.mark.skipif(
-    not THERE, reason="needs F1TENTH's gym: pip install git+https://github.com/f1tenth/f1tenth_gym"
-)
+gym = pytest.mark.skipif(not THERE, reason="needs the equations of F1TENTH's gym, which is in no package index")
 
 
 def vehicle():
@@ -25,7 +23,7 @@ def vehicle():
 
 @pytest.mark.skipif(THERE, reason="F1TENTH's gym is installed")
 def test_without_the_gym_it_says_where_to_get_it():
-    with pytest.raises(VehicleError, match=r"pip install 'git\+https://github.com/f1tenth/f1tenth_gym'"):
+    with pytest.raises(VehicleError, match=r"pip install --no-deps 'git\+https://github.com/f1tenth/f1tenth_gym'"):
         F1tenthGym(vehicle())
 
 
@@ -44,6 +42,19 @@ def test_it_turns_as_its_cornering_stiffness_has_it():
 def test_its_steering_is_two_steps_late_and_steps_shorter_than_its_own_wait():
     start = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
     rows = driven(F1tenthGym(vehicle()), [(0.2, 1.0)] * 4, 0.01, start)
-    assert rows[:2, 6].tolist() == [0.0, 0.0] and rows[2:, 6] == pytest.approx([0.032, 0.064])
+    assert rows[:2, 6] == pytest.approx(0.0) and rows[2:, 6] == pytest.approx([0.032, 0.064])
     halves = driven(F1tenthGym(vehicle()), [(0.2, 1.0)] * 8, 0.005, start)
     assert halves[1::2] == pytest.approx(rows)
+
+
+@gym
+def test_it_rolls_backwards_as_it_began():
+    rows = driven(F1tenthGym(vehicle()), [(0.0, -0.2)] * 20, 0.01, [0.0, 0.0, 0.0, -0.2, 0.0, 0.0, 0.0, -0.2])
+    assert rows[-1, 0] == pytest.approx(-0.04, abs=1e-3) and rows[-1, 3] == pytest.approx(-0.2, abs=1e-3)
+
+
+def test_it_is_told_speeds_and_no_currents():
+    asked = compose_settings("evaluate", ["run=x", "car=f1tenth_gym", "vehicle=published", "sim=motor_current"])
+    car = load_vehicle(Car(**asked["car"]).wear(asked["vehicle"]), drive=asked["sim"]["drive"])
+    with pytest.raises(VehicleError, match="sim=default"):
+        F1tenthGym(car)

@@ -1,7 +1,7 @@
 """The history observation: the geometric one, and what the car did on the control steps before.
 
-For each of `steps` steps, the latest first: v_x, v_y, r, δ, ω and the references δ_ref and ω_ref given then. How a car
-answers its references shows in them, so that a policy may drive cars apart that look alike at an instant.
+For each of `steps` steps, the latest first: v_x, v_y, r, δ, ω and the references given then, δ_ref and the drive's.
+How a car answers its references shows in them, so that a policy may tell cars apart that look alike at an instant.
 """
 
 from dataclasses import dataclass

@@ -43,7 +43,10 @@ def create_body(vehicle: Vehicle) -> Body:
     body: Body = registry.lookup(package, vehicle.body)(vehicle)
     for name, effect in vehicle.effects.items():
         if any(getattr(type(effect), hook) is not getattr(Effect, hook) for hook in WITHIN):
-            raise VehicleError(f"vehicle.effects.{name} acts on the single-track car, not on body {vehicle.body}")
+            raise VehicleError(
+                f"vehicle.effects.{name} acts on the single-track car, not on body {vehicle.body}, which takes "
+                "wheelbase, mass and actuators from the vehicle: give one without it, as vehicle=f1tenth"
+            )
     return body
 
 
