@@ -20,6 +20,7 @@ from racerl.registry import construct
 from racerl.vehicle.load import load_vehicle
 from racerl.vehicle.parameter import replace_values
 from tests.env.test_race import make
+from tests.vehicle.test_f1tenth_gym import gym
 
 
 class Follower:
@@ -162,10 +163,13 @@ def test_a_floor_with_less_grip_is_all_that_a_slippery_twin_adds(tmp_path):
         assert ("yaw_damping" in slippery.effects) is bool(words and "mine" in words[0])
 
 
+BODIES = {"commonroad_mb": pytest.mark.slow, "f1tenth_gym": gym}
+
+
 @pytest.mark.parametrize(
     "car",
     [
-        pytest.param(name, marks=[pytest.mark.slow] if name == "commonroad_mb" else [])
+        pytest.param(name, marks=[BODIES[name]] if name in BODIES else [])
         for name in sorted(path.stem for path in (conf_folder() / "car").glob("*.yaml"))
     ],
 )
