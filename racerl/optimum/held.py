@@ -102,7 +102,9 @@ def _sample(solution: Solution, count: int, substeps: int) -> tuple[Array, Array
 def _step(vehicle: Vehicle) -> Any:
     """Return (X, U, seconds) → X after one Runge–Kutta step."""
     x, u, h = casadi.SX.sym("x", len(vehicle.states)), casadi.SX.sym("u", 2), casadi.SX.sym("h")
-    return casadi.Function("step", [x, u, h], [rk4(vehicle, x, u, h, CasadiOps())], {"cse": True})
+    return casadi.Function(
+        "step", [x, u, h], [rk4(lambda now: vehicle.derivative(now, u, CasadiOps()), x, h)], {"cse": True}
+    )
 
 
 def _geometry(corridor: Corridor) -> Any:

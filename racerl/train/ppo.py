@@ -152,7 +152,9 @@ class RacePPO(PPO):
         self._mean = actor_of(self)
         if more:
             layers = self.policy.mlp_extractor.value_net
-            layers[0] = _wider(cast(nn.Linear, layers[0]), more)
+            first = cast(nn.Linear, layers[0])
+            layers[0] = nn.Linear(first.in_features + more, first.out_features, device=race.device)
+            self.policy.init_weights(layers[0], math.sqrt(2.0))  # as Stable-Baselines3 draws hidden layers
         self._value = nn.Sequential(*self.policy.mlp_extractor.value_net, self.policy.value_net)
         actor, critic = [*self._mean.parameters(), self.policy.log_std], [*self._value.parameters()]
         groups: list[dict[str, Any]] = [{"params": actor}, {"params": critic}]
@@ -320,14 +322,6 @@ class RacePPO(PPO):
 def actor_of(model: PPO) -> nn.Sequential:
     """Return the mean action's network of any of Stable-Baselines3's PPO policies, sharing its weights."""
     return nn.Sequential(*model.policy.mlp_extractor.policy_net, model.policy.action_net)
-
-
-def _wider(layer: nn.Linear, more: int) -> nn.Linear:
-    """Return a layer for so many inputs more, drawn as Stable-Baselines3 draws hidden layers."""
-    wider = nn.Linear(layer.in_features + more, layer.out_features, device=layer.weight.device)
-    nn.init.orthogonal_(wider.weight, math.sqrt(2.0))
-    nn.init.zeros_(wider.bias)
-    return wider
 
 
 class _LeakyReLU(nn.LeakyReLU):

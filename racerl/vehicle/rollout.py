@@ -23,6 +23,7 @@ import dataclasses
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -680,11 +681,15 @@ class _Bound:
 
 def roll_out(vehicle: Any, initial: torch.Tensor, inputs: torch.Tensor, steps: int, h: float) -> torch.Tensor:
     """Return the states (T + 1, S, W) on torch, differentiable in everything; inputs are (T, U, W)."""
+
+    def derivative(command: torch.Tensor, state: torch.Tensor) -> Any:
+        return vehicle.derivative(state, command, TORCH)
+
     states = [initial]
     for command in inputs:
         state = states[-1]
         for _ in range(steps):
-            state = rk4(vehicle, state, command, h, TORCH)
+            state = rk4(partial(derivative, command), state, h)
         states.append(state)
     return torch.stack(states)
 

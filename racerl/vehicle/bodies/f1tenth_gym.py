@@ -11,6 +11,7 @@ It has no wheels: what shows as their speed is the car's, along its own x.
 import importlib.util
 import math
 from collections.abc import Sequence
+from functools import partial
 from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from types import ModuleType
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 
 from racerl.errors import VehicleError
 from racerl.vehicle.actuator import FirstOrder
+from racerl.vehicle.integrate import rk4
 from racerl.vehicle.vehicle import Vehicle
 
 STEP = 0.01  # s
@@ -78,16 +80,13 @@ class F1tenthGym:
             acceleration, rate = self._pid(
                 command[1], steer, float(state[SPEED]), float(state[DELTA]), SV_MAX, A_MAX, V_MAX, V_MIN
             )
-            state = self._step(state, np.array([rate, acceleration]))
+            asked = np.array([rate, acceleration])
+            state = rk4(partial(self._rates, asked), state, STEP)
         return Own(state, coming, left)
 
-    def _step(self, state: NDArray[np.float64], asked: NDArray[np.float64]) -> NDArray[np.float64]:
-        k_1 = self._dynamics(state, asked, *self._parameters)
-        k_2 = self._dynamics(state + 0.5 * STEP * k_1, asked, *self._parameters)
-        k_3 = self._dynamics(state + 0.5 * STEP * k_2, asked, *self._parameters)
-        k_4 = self._dynamics(state + STEP * k_3, asked, *self._parameters)
-        after: NDArray[np.float64] = state + STEP / 6.0 * (k_1 + 2.0 * (k_2 + k_3) + k_4)
-        return after
+    def _rates(self, asked: NDArray[np.float64], state: NDArray[np.float64]) -> NDArray[np.float64]:
+        rates: NDArray[np.float64] = self._dynamics(state, asked, *self._parameters)
+        return rates
 
 
 def equations() -> ModuleType:
