@@ -1,10 +1,11 @@
 """Screening: which effects of the catalogue are worth a fit.
 
 The score test ranks them by first-order theory; a few steps on a share of the windows, from several starts, rank those
-that it puts first.
+that it puts first. Where the fit is so far off that first-order theory says little, a few steps on very few windows
+rank the whole catalogue beside it.
 """
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -29,9 +30,10 @@ from racerl.vehicle.vehicle import Vehicle
 Array = NDArray[np.float64]
 STEPS = 5  # of a fit on a share of the windows: fewer may lead from a usual size to nothing better yet
 ASTRAY = 1.3  # times the noise's cost, beyond which a fit says little of the parameters
-LOST = 5.0  # times the noise's cost, beyond which a fit says nothing of what is missing
+LOST = 5.0  # times the noise's cost, beyond which first-order theory says little of what is missing
 HOPELESS = 30.0  # first-order gain, a χ², below which no effect is worth a fit
 PLACES, REACH = 2, 1.5  # of an effect that lies somewhere: places that fits start from, and their size in m
+FEWEST = 20  # windows, or little more, that tell which effects to look at where the fit is lost
 SHORTLIST, CONTINUED = 8, 4  # candidates of each stage that are screened, and fitted to the end
 FAINT = 0.15  # of the most gain in screening, below which a candidate is given up
 BEHIND = 0.3  # of the most fall after a few steps, below which a candidate is not fitted to its end
@@ -39,12 +41,26 @@ FORETOLD, FIRST = 0.5, 2  # of the most first-order gain, above which so many ar
 
 
 class Screened(NamedTuple):
-    """A candidate after a few steps: the vehicle that it led to, its gain, and the stage that gains most."""
+    """A candidate after a few steps: the vehicle that it led to, and its gains in the stages that show it."""
 
     name: str
     vehicle: Vehicle
-    gain: float
-    stage: str
+    gains: Mapping[str, float]
+
+    @property
+    def gain(self) -> float:
+        """Its gain in all stages."""
+        return sum(self.gains.values())
+
+    @property
+    def stage(self) -> str:
+        """The stage that gains most."""
+        return max(self.gains, key=lambda stage: self.gains[stage])
+
+    @property
+    def stages(self) -> list[str]:
+        """The stages that show it."""
+        return list(self.gains)
 
 
 def scores(investigation: Investigation, base: FittedModel) -> dict[str, Score]:
@@ -54,7 +70,13 @@ def scores(investigation: Investigation, base: FittedModel) -> dict[str, Score]:
         known = investigation.known_elsewhere([name])
         unknowns = [u for u in unknowns_with(investigation, base.effects, base.vehicle) if u.name not in known]
         problem = StageProblem.of(
-            evidence, investigation.kernels[name], base.vehicle, unknowns, investigation.sigma[name], whole=True
+            evidence,
+            investigation.kernels[name],
+            base.vehicle,
+            unknowns,
+            investigation.sigma[name],
+            whole=True,
+            threads=investigation.workers.spare,
         )
         part = score(problem, unknowns, base.theta, begun(problem, base.initial, None), base.strength[name])
         share = REMAINDER if investigation.shaped and name == TYRES else FELT  # as a candidate is judged
@@ -63,20 +85,26 @@ def scores(investigation: Investigation, base: FittedModel) -> dict[str, Score]:
 
 
 def lost(investigation: Investigation, base: FittedModel) -> set[str]:
-    """Return the stages in which a fit is so far off that first-order theory says nothing."""
+    """Return the stages in which a fit is so far off that first-order theory says little."""
     return {stage for stage in investigation.evidence if beyond(investigation, base, [stage]) > LOST}
 
 
-def shortlist(ahead: Mapping[str, Score], astray: Collection[str]) -> list[str]:
+def trial(investigation: Investigation, base: FittedModel, name: str) -> Screened | None:
+    """Add an effect to a fitted vehicle: a few steps from each of its usual sizes on very few windows; the best."""
+    return _best(investigation, base, name, _likely(investigation, base, name), FEWEST)
+
+
+def shortlist(ahead: Mapping[str, Score], trials: Sequence[Screened]) -> list[str]:
     """Return the effects with the largest first-order gains in each stage, since stages do not compete.
 
-    In stages where a fit is astray, first-order theory says nothing, and all are looked at.
+    And those that gained most in trials, in stages that there were any for.
     """
     names: list[str] = []
     for stage, part in ahead.items():
-        least = 0.0 if stage in astray else HOPELESS
-        gains = {name: gain for name, gain in part.gains().items() if gain > least}
-        names += sorted(gains, key=lambda name: -gains[name])[: None if stage in astray else SHORTLIST]
+        gains = {name: gain for name, gain in part.gains().items() if gain > HOPELESS}
+        tried = {each.name: each.gain for each in trials if each.stage == stage}
+        for found in (gains, tried):
+            names += sorted(found, key=lambda name: -found[name])[:SHORTLIST]
         if stage == "chassis" and gains:  # the score knows one place only
             names += [name for name in part.names if placed(name)]
     return list(dict.fromkeys(names))
@@ -105,19 +133,23 @@ def screen(
     It starts as it was `fitted` beside fewer effects, too. Where the fit is astray, the best of these ends starts again
     with all parameters but the effects' as configured. Return the best; None where no stage shows the effect.
     """
-    likely = [
-        joined(investigation, base.vehicle, name, each) for each in (*_likely(investigation, base, name), *fitted)
-    ]
-    stages = touched(investigation, likely[0], [name]) if likely else []
-    if not stages:
-        return None
-    best = max((_try(investigation, base, name, vehicle, stages) for vehicle in likely), key=lambda each: each.gain)
-    if beyond(investigation, base, stages) < ASTRAY:
+    best = _best(investigation, base, name, [*_likely(investigation, base, name), *fitted], FEW)
+    if best is None or beyond(investigation, base, best.stages) < ASTRAY:
         return best
     configured = values(investigation.vehicle)
-    own = {parameter: float(configured[parameter]) for parameter in investigation.determined(stages)}
-    again = _try(investigation, base, name, replace_values(best.vehicle, own), stages)
+    own = {parameter: float(configured[parameter]) for parameter in investigation.determined(best.stages)}
+    again = _try(investigation, base, name, replace_values(best.vehicle, own), best.stages, FEW)
     return max(best, again, key=lambda each: each.gain)
+
+
+def _best(
+    investigation: Investigation, base: FittedModel, name: str, starts: Sequence[Effect], most: int
+) -> Screened | None:
+    """Return the best end of a few steps from each of some starts; None where no stage shows the effect."""
+    likely = [joined(investigation, base.vehicle, name, each) for each in starts]
+    stages = touched(investigation, likely[0], [name]) if likely else []
+    ends = [_try(investigation, base, name, vehicle, stages, most) for vehicle in likely if stages]
+    return max(ends, key=lambda each: each.gain, default=None)
 
 
 def beyond(investigation: Investigation, base: FittedModel, stages: Iterable[str]) -> float:
@@ -128,16 +160,16 @@ def beyond(investigation: Investigation, base: FittedModel, stages: Iterable[str
 
 
 def _try(
-    investigation: Investigation, base: FittedModel, name: str, vehicle: Vehicle, stages: Sequence[str]
+    investigation: Investigation, base: FittedModel, name: str, vehicle: Vehicle, stages: Sequence[str], most: int
 ) -> Screened:
-    """Return where a few iterations on a share of the windows lead a vehicle with an effect more."""
-    some = sampled({name: investigation.evidence[name] for name in stages}, most=FEW)
+    """Return where a few iterations on so many windows, or little more, lead a vehicle with an effect more."""
+    some = sampled({name: investigation.evidence[name] for name in stages}, most=most)
     found = fit_model(investigation, base.effects | {name}, vehicle, base, STEPS, stages=stages, index=some)
     gains = {
         stage: _fall(investigation, stage, investigation.cost(base, stage)[some[stage]], found.cost[stage])
         for stage in stages
     }
-    return Screened(name, found.vehicle, sum(gains.values()), max(gains, key=lambda stage: gains[stage]))
+    return Screened(name, found.vehicle, gains)
 
 
 def gainful(investigation: Investigation, base: FittedModel, fits: Sequence[FittedModel]) -> list[FittedModel]:

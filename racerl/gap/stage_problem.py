@@ -30,6 +30,7 @@ class StageProblem:
     vehicle: Vehicle
     names: tuple[str, ...]  # of θ, in this stage
     sigma: Array  # (C,)
+    threads: int = 1
 
     @classmethod
     def of(
@@ -41,11 +42,12 @@ class StageProblem:
         sigma: Array,
         *,
         whole: bool = False,
+        threads: int = 1,
     ) -> "StageProblem":
         """Choose the unknowns that matter to the stage, and its kernel; `whole`: one with the whole catalogue."""
         kernel = kernels.choose(vehicle, whole=whole)
         matter = [u.name for u in unknowns if matters(evidence, kernel, vehicle, u.name)]
-        return cls(evidence, kernel, vehicle, tuple(matter), sigma)
+        return cls(evidence, kernel, vehicle, tuple(matter), sigma, threads)
 
     @staticmethod
     def touched(evidence: Evidence, kernels: StageKernels, vehicle: Vehicle, unknowns: Sequence[Unknown]) -> bool:
@@ -134,7 +136,7 @@ class StageProblem:
     def errors(self, theta: Mapping[str, float], initial: Array) -> Array:
         """Return simulated − measured (T + 1, C, W)."""
         windows = replace(self.windows(theta), initial=initial)
-        return self.rollout.predict(self.parameters(theta), windows) - windows.measured
+        return self.rollout.predict(self.parameters(theta), windows, self.threads) - windows.measured
 
     def at(self, theta: Mapping[str, float]) -> "StageProblem":
         """Return the stage's share at θ, of which nothing varies."""

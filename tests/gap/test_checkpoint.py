@@ -135,7 +135,7 @@ def test_what_judging_asks_of_a_finished_fit_needs_no_fit_again(steered, tmp_pat
 def test_the_progress_only_goes_forward_and_goes_on_behind_the_screening(steered):
     shares = [share for _, share in steered.heard]
     assert shares == sorted(shares) and shares[0] == 0.0 and shares[-1] < 1.0
-    assert [what for what, _ in steered.heard].count("name: steering_delay") == 3  # screened, fitted, to its end
+    assert [what for what, _ in steered.heard].count("name: steering_delay") == 4  # tried, screened, fitted, to its end
 
 
 @needs_compiler
@@ -193,6 +193,14 @@ def test_other_threads_end_before_their_next_fit():
     assert len(begun) < 5
     with pytest.raises(CancelledError):
         workers.go_on()
+
+
+def test_threads_that_are_left_over_work_on_the_windows_of_a_fit():
+    """All of them where one fit runs alone, a share of them beside others."""
+    workers = Workers(4)
+    assert workers.spare == 4
+    assert [workers.each(lambda item: workers.spare, range(count)) for count in (1, 2, 9)] == [[4], [2, 2], [1] * 9]
+    assert workers.spare == 4
 
 
 def test_a_compiler_that_the_user_interrupts_is_no_broken_compiler(tmp_path, monkeypatch):

@@ -14,6 +14,7 @@ from racerl.documents import read_json
 from racerl.errors import ConfigError, LogError, RunError
 from racerl.estimation.unknowns import Unknown
 from racerl.gap import diagnose, elimination
+from racerl.gap.catalogue import placed
 from racerl.gap.comparison import CandidateScore, Judge, Standing, close, equals
 from racerl.gap.decision import Decision, changed, passes_less_noise
 from racerl.gap.diagnose import _untestable, gap, next_manoeuvre
@@ -24,7 +25,7 @@ from racerl.gap.locate import BINS, _test
 from racerl.gap.plan import plan, telling
 from racerl.gap.prove import explained
 from racerl.gap.score import Score, summed
-from racerl.gap.screening import Screened, hopeful, scores
+from racerl.gap.screening import Screened, hopeful, scores, shortlist
 from racerl.gap.stage import stages
 from racerl.gap.uncertainty import EXACT, FORM, TIMING, intervals
 from racerl.gap.verdict import Verdict, judge, open_stage, proved, separable
@@ -730,7 +731,19 @@ def test_an_effect_of_one_form_must_leave_less(name, most, monkeypatch):
 
 
 def test_a_candidate_that_a_few_steps_led_astray_is_fitted_where_theory_foretells_a_gain():
-    screened = [Screened(n, None, gain, "chassis") for n, gain in (("drag", 900.0), ("roll", -2e3), ("bank", 30.0))]
+    screened = [Screened(n, None, {"chassis": gain}) for n, gain in (("drag", 900.0), ("roll", -2e3), ("bank", 30.0))]
     score = Score(["roll", "drag", "bank"], np.eye(3), np.sqrt([2e4, 4e3, 5e3]))
     assert [each.name for each in hopeful(screened, score, "chassis")] == ["drag", "roll"]
     assert [each.name for each in hopeful(screened, dataclasses.replace(score, g=np.zeros(3)), "chassis")] == ["drag"]
+
+
+def test_where_the_fit_is_lost_trials_put_effects_on_the_shortlist_beside_theory():
+    """Eight of each: theory's best and the trials' best of every stage, no effect twice, none without hope."""
+    names = [name for name in catalogue.names() if not placed(name)][:20]
+    gains = np.arange(20.0) * 100.0  # the last is the best, the first has no hope
+    score = Score(names, np.eye(20), np.sqrt(gains))
+    assert shortlist({"chassis": score}, []) == names[:11:-1]
+    trials = [Screened(n, None, {"chassis": 20.0 - i, "drive": -1.0}) for i, n in enumerate(names)]
+    assert shortlist({"chassis": score}, trials) == [*names[:11:-1], *names[:8]]
+    elsewhere = [Screened(n, None, {"steering": 1.0}) for n in names]
+    assert shortlist({"chassis": score}, elsewhere) == names[:11:-1]

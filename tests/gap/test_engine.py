@@ -506,9 +506,9 @@ def test_an_effect_starts_as_it_was_fitted_before_too(damped, monkeypatch):
     fitted = dataclasses.replace(investigation.catalogue["yaw_damping"][0], coefficient=0.123)
     tried = []
 
-    def record(investigation, base, name, vehicle, stages):
+    def record(investigation, base, name, vehicle, stages, most):
         tried.append(vehicle.effects[name])
-        return Screened(name, vehicle, 0.0, "chassis")
+        return Screened(name, vehicle, dict.fromkeys(stages, 0.0))
 
     monkeypatch.setattr(screening, "_try", record)
     screen(investigation, investigation.base, "yaw_damping", [fitted])
