@@ -81,9 +81,8 @@ def fit_model(
     if start is not None and set(names) < set(data.evidence):
         known = data.known_elsewhere(names)
         unknowns = [unknown for unknown in unknowns if unknown.name not in known]
-    threads = data.workers.spare
     parts = [
-        StageProblem.of(data.evidence[n], data.kernels[n], vehicle, unknowns, data.sigma[n], threads=threads)
+        StageProblem.of(data.evidence[n], data.kernels[n], vehicle, unknowns, data.sigma[n], workers=data.workers)
         for n in names
     ]
     problem = Problem(parts, unknowns, [(strength or carried)[name] for name in names])

@@ -1,5 +1,6 @@
 """Naming the missing effect: score the catalogue, fit the shortlist, decide on stretches that no fit has seen.
 
+Where the fit is so far off that the score says little, short trials add to the shortlist.
 Round by round the effect that helps most on held-out windows is added, until none helps significantly, or simulated
 cars say that rather none is missing; then backward elimination judges every one again beside those found after it.
 Where a tyre of another shape than its formula's helps more than any, naming begins anew with that.
@@ -81,8 +82,13 @@ def _round(
     def scored(found: FittedModel) -> CandidateScore:
         return judge.score(name_of(found), converged(investigation, found), decision)
 
-    every = [name for stage in sorted(lost(investigation, current)) for name in ahead[stage].names]
-    trials = _shown(each(tried, list(dict.fromkeys(every)), within(on_progress, 0.0, TRIED)))
+    far = {
+        stage: [name for name, gain in ahead[stage].gains().items() if gain != 0.0]
+        for stage in sorted(lost(investigation, current))
+    }
+    every = list(dict.fromkeys(name for names in far.values() for name in names))
+    ends = _shown(each(tried, every, within(on_progress, 0.0, TRIED)))
+    trials = {stage: [end for end in ends if stage in end.gains] for stage in far}
     shown = _shown(each(screened, shortlist(ahead, trials), within(on_progress, TRIED, SCREENED)))
     chosen = {one.name: one for stage, score in ahead.items() for one in hopeful(shown, score, stage)}
     fitted = within(on_progress, SCREENED, FITTED)

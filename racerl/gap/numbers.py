@@ -37,7 +37,7 @@ MOST = 4  # numbers; a car that differs in more is another car
 ALONE = ("yaw_inertia", "l_f", "steering.time_constant", "drive.time_constant")  # numbers that are not the tyres'
 SLIGHT = 0.02  # share by which a refit may move such a number without being asked for
 STEPS, FULLY = 4, 5  # of a trial on a share of the windows; numbers that are fitted to all of them then
-FIRST = 8  # steps of these fits: the one that explains most is fitted to its end
+FIRST = 8  # steps of these fits, that say which to fit to its end
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,8 @@ def _left_alone(gap: "_Gap", few: Numbers, around: Numbers) -> Numbers:
 def _best(gap: "_Gap", few: Numbers) -> Numbers | None:
     """Return the numbers with the one more that explains most, of those that are to be told; None without any.
 
-    A few steps say which explains most; one that runs out of reach on the way to its end leaves it to the next.
+    A few steps say which explain enough, or else which explains most: these are fitted to their end, and the first that
+    is to be told then is told.
     """
 
     def with_it(name: str, start: Numbers, steps: int) -> Numbers:
@@ -142,7 +143,8 @@ def _best(gap: "_Gap", few: Numbers) -> Numbers | None:
     names = _promising(gap, few)
     trials = gap.investigation.workers.each(lambda name: with_it(name, few, FIRST), names)
     order = sorted(zip(names, trials, strict=True), key=lambda each: gap.share(each[1].cost))
-    ends = ((name, with_it(name, trial, LONGEST)) for name, trial in order if told(name, trial))
+    enough = [each for each in order if told(*each)] or order[:1]
+    ends = ((name, with_it(name, trial, LONGEST)) for name, trial in enough)
     return next((more for name, more in ends if told(name, more)), None)
 
 
@@ -288,7 +290,7 @@ class _Gap:
         return [name for name in NUMBERS if self.stages_of(name) and not (displaced and name == "l_f")]
 
     def fitted(self, names: Sequence[str], start: Numbers, steps: int = LONGEST) -> Numbers:
-        """Return the vehicle with its effects and some numbers fitted, from where others ended."""
+        """Return the vehicle with its effects and some numbers fitted by so many steps, from where others ended."""
         stages = self._stages(names)
         if not stages:
             return start

@@ -33,7 +33,7 @@ ASTRAY = 1.3  # times the noise's cost, beyond which a fit says little of the pa
 LOST = 5.0  # times the noise's cost, beyond which first-order theory says little of what is missing
 HOPELESS = 30.0  # first-order gain, a χ², below which no effect is worth a fit
 PLACES, REACH = 2, 1.5  # of an effect that lies somewhere: places that fits start from, and their size in m
-FEWEST = 20  # windows, or little more, that tell which effects to look at where the fit is lost
+FEWEST = 20  # the same, that tell which effects to look at where the fit is lost
 SHORTLIST, CONTINUED = 8, 4  # candidates of each stage that are screened, and fitted to the end
 FAINT = 0.15  # of the most gain in screening, below which a candidate is given up
 BEHIND = 0.3  # of the most fall after a few steps, below which a candidate is not fitted to its end
@@ -57,11 +57,6 @@ class Screened(NamedTuple):
         """The stage that gains most."""
         return max(self.gains, key=lambda stage: self.gains[stage])
 
-    @property
-    def stages(self) -> list[str]:
-        """The stages that show it."""
-        return list(self.gains)
-
 
 def scores(investigation: Investigation, base: FittedModel) -> dict[str, Score]:
     """Return the score of every effect that a fitted vehicle lacks, per stage."""
@@ -76,7 +71,7 @@ def scores(investigation: Investigation, base: FittedModel) -> dict[str, Score]:
             unknowns,
             investigation.sigma[name],
             whole=True,
-            threads=investigation.workers.spare,
+            workers=investigation.workers,
         )
         part = score(problem, unknowns, base.theta, begun(problem, base.initial, None), base.strength[name])
         share = REMAINDER if investigation.shaped and name == TYRES else FELT  # as a candidate is judged
@@ -90,19 +85,19 @@ def lost(investigation: Investigation, base: FittedModel) -> set[str]:
 
 
 def trial(investigation: Investigation, base: FittedModel, name: str) -> Screened | None:
-    """Add an effect to a fitted vehicle: a few steps from each of its usual sizes on very few windows; the best."""
+    """Add an effect to a fitted vehicle: the best end of a few steps from its usual sizes, on very few windows."""
     return _best(investigation, base, name, _likely(investigation, base, name), FEWEST)
 
 
-def shortlist(ahead: Mapping[str, Score], trials: Sequence[Screened]) -> list[str]:
+def shortlist(ahead: Mapping[str, Score], trials: Mapping[str, Sequence[Screened]]) -> list[str]:
     """Return the effects with the largest first-order gains in each stage, since stages do not compete.
 
-    And those that gained most in trials, in stages that there were any for.
+    Where a fit is lost, those that gained most in `trials`, too.
     """
     names: list[str] = []
     for stage, part in ahead.items():
         gains = {name: gain for name, gain in part.gains().items() if gain > HOPELESS}
-        tried = {each.name: each.gain for each in trials if each.stage == stage}
+        tried = {each.name: each.gains[stage] for each in trials.get(stage, ()) if each.gains[stage] > 0.0}
         for found in (gains, tried):
             names += sorted(found, key=lambda name: -found[name])[:SHORTLIST]
         if stage == "chassis" and gains:  # the score knows one place only
@@ -134,11 +129,11 @@ def screen(
     with all parameters but the effects' as configured. Return the best; None where no stage shows the effect.
     """
     best = _best(investigation, base, name, [*_likely(investigation, base, name), *fitted], FEW)
-    if best is None or beyond(investigation, base, best.stages) < ASTRAY:
+    if best is None or beyond(investigation, base, best.gains) < ASTRAY:
         return best
-    configured = values(investigation.vehicle)
-    own = {parameter: float(configured[parameter]) for parameter in investigation.determined(best.stages)}
-    again = _try(investigation, base, name, replace_values(best.vehicle, own), best.stages, FEW)
+    configured, stages = values(investigation.vehicle), list(best.gains)
+    own = {parameter: float(configured[parameter]) for parameter in investigation.determined(stages)}
+    again = _try(investigation, base, name, replace_values(best.vehicle, own), stages, FEW)
     return max(best, again, key=lambda each: each.gain)
 
 
@@ -148,8 +143,9 @@ def _best(
     """Return the best end of a few steps from each of some starts; None where no stage shows the effect."""
     likely = [joined(investigation, base.vehicle, name, each) for each in starts]
     stages = touched(investigation, likely[0], [name]) if likely else []
-    ends = [_try(investigation, base, name, vehicle, stages, most) for vehicle in likely if stages]
-    return max(ends, key=lambda each: each.gain, default=None)
+    if not stages:
+        return None
+    return max((_try(investigation, base, name, each, stages, most) for each in likely), key=lambda end: end.gain)
 
 
 def beyond(investigation: Investigation, base: FittedModel, stages: Iterable[str]) -> float:
@@ -162,7 +158,7 @@ def beyond(investigation: Investigation, base: FittedModel, stages: Iterable[str
 def _try(
     investigation: Investigation, base: FittedModel, name: str, vehicle: Vehicle, stages: Sequence[str], most: int
 ) -> Screened:
-    """Return where a few iterations on so many windows, or little more, lead a vehicle with an effect more."""
+    """Return where a few steps on about so many windows, every third at most, lead a vehicle with an effect more."""
     some = sampled({name: investigation.evidence[name] for name in stages}, most=most)
     found = fit_model(investigation, base.effects | {name}, vehicle, base, STEPS, stages=stages, index=some)
     gains = {

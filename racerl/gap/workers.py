@@ -16,7 +16,7 @@ class Workers:
 
     threads: int = 1
     stopped: Event = field(default_factory=Event)
-    _mine: local = field(default_factory=local)
+    _mine: local = field(default_factory=local, init=False, repr=False)
 
     @property
     def spare(self) -> int:
@@ -35,7 +35,7 @@ class Workers:
         """
         results = []
         share = max(1, self.spare // max(1, len(items)))
-        with ThreadPoolExecutor(self.threads, initializer=self._keep_to, initargs=(share,)) as pool:
+        with ThreadPoolExecutor(self.spare, initializer=self._keep_to, initargs=(share,)) as pool:
             try:
                 for item, result in zip(items, pool.map(function, items), strict=True):
                     results.append(result)

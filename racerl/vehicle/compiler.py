@@ -29,7 +29,8 @@ log = logging.getLogger(__name__)
 # cos is written as a shifted sin: sin and cos of one angle would be fused to a complex exponential, which has none.
 FLAGS = ("-march=native", "-ffast-math", "-fopenmp-simd", "-fPIC")
 THOROUGH = ("-O3",)
-WIDE = ("-mprefer-vector-width=512",) if platform.machine() in ("x86_64", "AMD64") else ()
+# gcc takes registers of 256 bits on most processors that have 512
+WIDE = ("-mprefer-vector-width=512",) if platform.machine() == "x86_64" else ()
 # fused multiply-adds are among what -O1 holds to be expensive
 QUICK = ("-O1", "-ftree-vectorize", "-fno-tree-slp-vectorize", "-fexpensive-optimizations", *WIDE)
 

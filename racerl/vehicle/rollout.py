@@ -42,7 +42,6 @@ Array = NDArray[np.float64]
 LANES = 8
 INPUTS = ("delta", "omega")  # what drives the car, measured where its actuator is given
 UNDO = 3  # passes of the fixed-point iteration that inverts a sensor; each takes its error to its square or better
-CHUNK = 64  # windows per call of the compiled kernel
 
 TEMPLATE = """
 #include <math.h>
@@ -114,7 +113,7 @@ static inline void spread(const lane *restrict a, const lane *restrict b, const 
 {direct}
 }}
 
-/* H += (dy/dz)' w^2 (dy/dz), its lower triangle; g += (dy/dz)' w e */
+/* H += (dy/dz)' w^2 (dy/dz), its lower triangle; g += (dy/dz)' w e; inlined, it would look up H in every step */
 static __attribute__((noinline)) void tally(const lane *restrict w, const lane *restrict e, long D,
                                             lane (*restrict Z)[D], lane (*restrict H)[D], lane *restrict g) {{
     for (int i = 0; i < D; i++) {{
@@ -489,10 +488,11 @@ def _per_window(parameters: Array, windows: Windows) -> Array:
 
 
 def _in_chunks(run: Any, windows: Windows, parameters: Array, threads: int) -> list[Any]:
-    """Call `run` on chunks of windows, in order, other threads working beside the compiled kernel; on all with one."""
-    if threads == 1 or windows.count <= CHUNK:
+    """Call `run` on as many chunks of windows as there are threads, in order; all but the last fill all lanes."""
+    size = LANES * -(-windows.count // (LANES * threads))
+    if threads == 1 or windows.count <= size:
         return [run(windows, parameters)]
-    parts = [slice(first, first + CHUNK) for first in range(0, windows.count, CHUNK)]
+    parts = [slice(first, first + size) for first in range(0, windows.count, size)]
     chunks = [(windows.take(part), parameters[:, part]) for part in parts]
     with ThreadPoolExecutor(threads) as pool:
         return list(pool.map(lambda chunk: run(*chunk), chunks))

@@ -738,12 +738,12 @@ def test_a_candidate_that_a_few_steps_led_astray_is_fitted_where_theory_foretell
 
 
 def test_where_the_fit_is_lost_trials_put_effects_on_the_shortlist_beside_theory():
-    """Eight of each: theory's best and the trials' best of every stage, no effect twice, none without hope."""
+    """Eight of each, best first, and no effect twice; none that theory gives no hope, or that made a stage worse."""
     names = [name for name in catalogue.names() if not placed(name)][:20]
-    gains = np.arange(20.0) * 100.0  # the last is the best, the first has no hope
-    score = Score(names, np.eye(20), np.sqrt(gains))
-    assert shortlist({"chassis": score}, []) == names[:11:-1]
-    trials = [Screened(n, None, {"chassis": 20.0 - i, "drive": -1.0}) for i, n in enumerate(names)]
-    assert shortlist({"chassis": score}, trials) == [*names[:11:-1], *names[:8]]
-    elsewhere = [Screened(n, None, {"steering": 1.0}) for n in names]
-    assert shortlist({"chassis": score}, elsewhere) == names[:11:-1]
+    score = Score(names, np.eye(20), np.sqrt([*range(900, 0, -100), *([10.0] * 11)]))
+    assert shortlist({"chassis": score}, {}) == names[:8]
+    gains = [-1.0] * 5 + [2.0, 1.0, 3.0] + [-1.0, *np.arange(20.0, 9.0, -1.0)]
+    ends = [Screened(name, None, {"chassis": gain, "drive": 99.0}) for name, gain in zip(names, gains, strict=True)]
+    assert shortlist({"chassis": score}, {"chassis": ends}) == [*names[:8], *names[9:17]]
+    assert shortlist({"chassis": score}, {"chassis": ends[:9]}) == names[:8]
+    assert shortlist({"chassis": score}, {"drive": ends}) == names[:8]
