@@ -1,12 +1,11 @@
 """Naming the missing effect: score the catalogue, fit the shortlist, decide on stretches that no fit has seen.
 
-Where the fit is so far off that the score says little, short trials add to the shortlist.
 Round by round the effect that helps most on held-out windows is added, until none helps significantly, or simulated
 cars say that rather none is missing; then backward elimination judges every one again beside those found after it.
 Where a tyre of another shape than its formula's helps more than any, naming begins anew with that.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from racerl.gap.any_tyre import other_tyre
 from racerl.gap.candidates import add, converged
@@ -20,11 +19,11 @@ from racerl.gap.hypotheses import calibrated, in_doubt
 from racerl.gap.investigation import Investigation
 from racerl.gap.progress import OnProgress, silent, within
 from racerl.gap.score import Score, summed
-from racerl.gap.screening import Screened, gainful, hopeful, lost, scores, screen, shortlist, trial
+from racerl.gap.screening import Screened, gainful, hopeful, lost, scores, screen, shortlist
 
 ROUNDS = 4
 REVIEW = 0.9  # share of the naming behind which effects are judged again
-TRIED, SCREENED, FITTED = 0.15, 0.5, 0.7  # shares of a round behind which candidates are tried, screened, and begun
+SCREENED, FITTED = 0.5, 0.7  # shares of a round behind which candidates are screened, and begun to be fitted
 
 
 def name_effects(investigation: Investigation, on_progress: OnProgress = silent) -> Decision:
@@ -65,9 +64,6 @@ def _round(
     investigation, current = judge.investigation, decision.found
     each = investigation.workers.each
 
-    def tried(name: str) -> Screened | None:
-        return trial(investigation, current, name)
-
     def screened(name: str) -> Screened | None:
         fitted = [row.found.vehicle.effects[name] for rows in decision.rounds for row in rows if row.name == name]
         return screen(investigation, current, name, fitted)
@@ -82,22 +78,12 @@ def _round(
     def scored(found: FittedModel) -> CandidateScore:
         return judge.score(name_of(found), converged(investigation, found), decision)
 
-    far = {
-        stage: [name for name, gain in ahead[stage].gains().items() if gain != 0.0]
-        for stage in sorted(lost(investigation, current))
-    }
-    every = list(dict.fromkeys(name for names in far.values() for name in names))
-    ends = _shown(each(tried, every, within(on_progress, 0.0, TRIED)))
-    trials = {stage: [end for end in ends if stage in end.gains] for stage in far}
-    shown = _shown(each(screened, shortlist(ahead, trials), within(on_progress, TRIED, SCREENED)))
+    asked = shortlist(ahead, lost(investigation, current))
+    tried = each(screened, asked, within(on_progress, 0.0, SCREENED))
+    shown = [one for one in tried if one is not None]
     chosen = {one.name: one for stage, score in ahead.items() for one in hopeful(shown, score, stage)}
     fitted = within(on_progress, SCREENED, FITTED)
     fits = each(added, list(chosen.values()), lambda one, share: fitted(one.name, share))
     scoring = within(on_progress, FITTED, 1.0)
     rows = each(scored, gainful(investigation, current, fits), lambda found, share: scoring(name_of(found), share))
     return judge.ranked(rows, decision.cost)
-
-
-def _shown(screened: Sequence[Screened | None]) -> list[Screened]:
-    """Return the candidates that any stage shows."""
-    return [one for one in screened if one is not None]

@@ -1,11 +1,10 @@
 """Screening: which effects of the catalogue are worth a fit.
 
 The score test ranks them by first-order theory; a few steps on a share of the windows, from several starts, rank those
-that it puts first. Where the fit is so far off that first-order theory says little, a few steps on very few windows
-rank the whole catalogue beside it.
+that it puts first.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -30,10 +29,9 @@ from racerl.vehicle.vehicle import Vehicle
 Array = NDArray[np.float64]
 STEPS = 5  # of a fit on a share of the windows: fewer may lead from a usual size to nothing better yet
 ASTRAY = 1.3  # times the noise's cost, beyond which a fit says little of the parameters
-LOST = 5.0  # times the noise's cost, beyond which first-order theory says little of what is missing
+LOST = 5.0  # times the noise's cost, beyond which a fit says nothing of what is missing
 HOPELESS = 30.0  # first-order gain, a χ², below which no effect is worth a fit
 PLACES, REACH = 2, 1.5  # of an effect that lies somewhere: places that fits start from, and their size in m
-FEWEST = 20  # the same, that tell which effects to look at where the fit is lost
 SHORTLIST, CONTINUED = 8, 4  # candidates of each stage that are screened, and fitted to the end
 FAINT = 0.15  # of the most gain in screening, below which a candidate is given up
 BEHIND = 0.3  # of the most fall after a few steps, below which a candidate is not fitted to its end
@@ -41,21 +39,12 @@ FORETOLD, FIRST = 0.5, 2  # of the most first-order gain, above which so many ar
 
 
 class Screened(NamedTuple):
-    """A candidate after a few steps: the vehicle that it led to, and its gains in the stages that show it."""
+    """A candidate after a few steps: the vehicle that it led to, its gain, and the stage that gains most."""
 
     name: str
     vehicle: Vehicle
-    gains: Mapping[str, float]
-
-    @property
-    def gain(self) -> float:
-        """Its gain in all stages."""
-        return sum(self.gains.values())
-
-    @property
-    def stage(self) -> str:
-        """The stage that gains most."""
-        return max(self.gains, key=lambda stage: self.gains[stage])
+    gain: float
+    stage: str
 
 
 def scores(investigation: Investigation, base: FittedModel) -> dict[str, Score]:
@@ -80,26 +69,20 @@ def scores(investigation: Investigation, base: FittedModel) -> dict[str, Score]:
 
 
 def lost(investigation: Investigation, base: FittedModel) -> set[str]:
-    """Return the stages in which a fit is so far off that first-order theory says little."""
+    """Return the stages in which a fit is so far off that first-order theory says nothing."""
     return {stage for stage in investigation.evidence if beyond(investigation, base, [stage]) > LOST}
 
 
-def trial(investigation: Investigation, base: FittedModel, name: str) -> Screened | None:
-    """Add an effect to a fitted vehicle: the best end of a few steps from its usual sizes, on very few windows."""
-    return _best(investigation, base, name, _likely(investigation, base, name), FEWEST)
-
-
-def shortlist(ahead: Mapping[str, Score], trials: Mapping[str, Sequence[Screened]]) -> list[str]:
+def shortlist(ahead: Mapping[str, Score], astray: Collection[str]) -> list[str]:
     """Return the effects with the largest first-order gains in each stage, since stages do not compete.
 
-    Where a fit is lost, those that gained most in `trials`, too.
+    In stages where a fit is astray, first-order theory says nothing, and all are looked at.
     """
     names: list[str] = []
     for stage, part in ahead.items():
-        gains = {name: gain for name, gain in part.gains().items() if gain > HOPELESS}
-        tried = {each.name: each.gains[stage] for each in trials.get(stage, ()) if each.gains[stage] > 0.0}
-        for found in (gains, tried):
-            names += sorted(found, key=lambda name: -found[name])[:SHORTLIST]
+        least = 0.0 if stage in astray else HOPELESS
+        gains = {name: gain for name, gain in part.gains().items() if gain > least}
+        names += sorted(gains, key=lambda name: -gains[name])[: None if stage in astray else SHORTLIST]
         if stage == "chassis" and gains:  # the score knows one place only
             names += [name for name in part.names if placed(name)]
     return list(dict.fromkeys(names))
@@ -128,24 +111,19 @@ def screen(
     It starts as it was `fitted` beside fewer effects, too. Where the fit is astray, the best of these ends starts again
     with all parameters but the effects' as configured. Return the best; None where no stage shows the effect.
     """
-    best = _best(investigation, base, name, [*_likely(investigation, base, name), *fitted], FEW)
-    if best is None or beyond(investigation, base, best.gains) < ASTRAY:
-        return best
-    configured, stages = values(investigation.vehicle), list(best.gains)
-    own = {parameter: float(configured[parameter]) for parameter in investigation.determined(stages)}
-    again = _try(investigation, base, name, replace_values(best.vehicle, own), stages, FEW)
-    return max(best, again, key=lambda each: each.gain)
-
-
-def _best(
-    investigation: Investigation, base: FittedModel, name: str, starts: Sequence[Effect], most: int
-) -> Screened | None:
-    """Return the best end of a few steps from each of some starts; None where no stage shows the effect."""
-    likely = [joined(investigation, base.vehicle, name, each) for each in starts]
+    likely = [
+        joined(investigation, base.vehicle, name, each) for each in (*_likely(investigation, base, name), *fitted)
+    ]
     stages = touched(investigation, likely[0], [name]) if likely else []
     if not stages:
         return None
-    return max((_try(investigation, base, name, each, stages, most) for each in likely), key=lambda end: end.gain)
+    best = max((_try(investigation, base, name, vehicle, stages) for vehicle in likely), key=lambda each: each.gain)
+    if beyond(investigation, base, stages) < ASTRAY:
+        return best
+    configured = values(investigation.vehicle)
+    own = {parameter: float(configured[parameter]) for parameter in investigation.determined(stages)}
+    again = _try(investigation, base, name, replace_values(best.vehicle, own), stages)
+    return max(best, again, key=lambda each: each.gain)
 
 
 def beyond(investigation: Investigation, base: FittedModel, stages: Iterable[str]) -> float:
@@ -156,16 +134,16 @@ def beyond(investigation: Investigation, base: FittedModel, stages: Iterable[str
 
 
 def _try(
-    investigation: Investigation, base: FittedModel, name: str, vehicle: Vehicle, stages: Sequence[str], most: int
+    investigation: Investigation, base: FittedModel, name: str, vehicle: Vehicle, stages: Sequence[str]
 ) -> Screened:
-    """Return where a few steps on about so many windows, every third at most, lead a vehicle with an effect more."""
-    some = sampled({name: investigation.evidence[name] for name in stages}, most=most)
+    """Return where a few iterations on a share of the windows lead a vehicle with an effect more."""
+    some = sampled({name: investigation.evidence[name] for name in stages}, most=FEW)
     found = fit_model(investigation, base.effects | {name}, vehicle, base, STEPS, stages=stages, index=some)
     gains = {
         stage: _fall(investigation, stage, investigation.cost(base, stage)[some[stage]], found.cost[stage])
         for stage in stages
     }
-    return Screened(name, found.vehicle, gains)
+    return Screened(name, found.vehicle, sum(gains.values()), max(gains, key=lambda stage: gains[stage]))
 
 
 def gainful(investigation: Investigation, base: FittedModel, fits: Sequence[FittedModel]) -> list[FittedModel]:

@@ -135,7 +135,7 @@ def test_what_judging_asks_of_a_finished_fit_needs_no_fit_again(steered, tmp_pat
 def test_the_progress_only_goes_forward_and_goes_on_behind_the_screening(steered):
     shares = [share for _, share in steered.heard]
     assert shares == sorted(shares) and shares[0] == 0.0 and shares[-1] < 1.0
-    assert [what for what, _ in steered.heard].count("name: steering_delay") == 4  # tried, screened, fitted, to its end
+    assert [what for what, _ in steered.heard].count("name: steering_delay") == 3  # screened, fitted, to its end
 
 
 @needs_compiler

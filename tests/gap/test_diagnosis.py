@@ -14,7 +14,6 @@ from racerl.documents import read_json
 from racerl.errors import ConfigError, LogError, RunError
 from racerl.estimation.unknowns import Unknown
 from racerl.gap import diagnose, elimination
-from racerl.gap.catalogue import placed
 from racerl.gap.comparison import CandidateScore, Judge, Standing, close, equals
 from racerl.gap.decision import Decision, changed, passes_less_noise
 from racerl.gap.diagnose import _untestable, gap, next_manoeuvre
@@ -25,7 +24,7 @@ from racerl.gap.locate import BINS, _test
 from racerl.gap.plan import plan, telling
 from racerl.gap.prove import explained
 from racerl.gap.score import Score, summed
-from racerl.gap.screening import Screened, hopeful, scores, shortlist
+from racerl.gap.screening import Screened, hopeful, scores
 from racerl.gap.stage import stages
 from racerl.gap.uncertainty import EXACT, FORM, TIMING, intervals
 from racerl.gap.verdict import Verdict, judge, open_stage, proved, separable
@@ -731,19 +730,7 @@ def test_an_effect_of_one_form_must_leave_less(name, most, monkeypatch):
 
 
 def test_a_candidate_that_a_few_steps_led_astray_is_fitted_where_theory_foretells_a_gain():
-    screened = [Screened(n, None, {"chassis": gain}) for n, gain in (("drag", 900.0), ("roll", -2e3), ("bank", 30.0))]
+    screened = [Screened(n, None, gain, "chassis") for n, gain in (("drag", 900.0), ("roll", -2e3), ("bank", 30.0))]
     score = Score(["roll", "drag", "bank"], np.eye(3), np.sqrt([2e4, 4e3, 5e3]))
     assert [each.name for each in hopeful(screened, score, "chassis")] == ["drag", "roll"]
     assert [each.name for each in hopeful(screened, dataclasses.replace(score, g=np.zeros(3)), "chassis")] == ["drag"]
-
-
-def test_where_the_fit_is_lost_trials_put_effects_on_the_shortlist_beside_theory():
-    """Eight of each, best first, and no effect twice; none that theory gives no hope, or that made a stage worse."""
-    names = [name for name in catalogue.names() if not placed(name)][:20]
-    score = Score(names, np.eye(20), np.sqrt([*range(900, 0, -100), *([10.0] * 11)]))
-    assert shortlist({"chassis": score}, {}) == names[:8]
-    gains = [-1.0] * 5 + [2.0, 1.0, 3.0] + [-1.0, *np.arange(20.0, 9.0, -1.0)]
-    ends = [Screened(name, None, {"chassis": gain, "drive": 99.0}) for name, gain in zip(names, gains, strict=True)]
-    assert shortlist({"chassis": score}, {"chassis": ends}) == [*names[:8], *names[9:17]]
-    assert shortlist({"chassis": score}, {"chassis": ends[:9]}) == names[:8]
-    assert shortlist({"chassis": score}, {"drive": ends}) == names[:8]

@@ -518,9 +518,9 @@ def test_an_effect_starts_as_it_was_fitted_before_too(damped, monkeypatch):
     fitted = dataclasses.replace(investigation.catalogue["yaw_damping"][0], coefficient=0.123)
     tried = []
 
-    def record(investigation, base, name, vehicle, stages, most):
+    def record(investigation, base, name, vehicle, stages):
         tried.append(vehicle.effects[name])
-        return Screened(name, vehicle, dict.fromkeys(stages, 0.0))
+        return Screened(name, vehicle, 0.0, "chassis")
 
     monkeypatch.setattr(screening, "_try", record)
     screen(investigation, investigation.base, "yaw_damping", [fitted])

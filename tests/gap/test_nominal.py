@@ -98,8 +98,8 @@ def test_a_candidate_starts_anew_in_its_own_stages_only(found, monkeypatch):
     tried = []
     monkeypatch.setattr(
         "racerl.gap.screening._try",
-        lambda investigation, base, name, vehicle, stages, most: (
-            tried.append(vehicle) or Screened(name, vehicle, dict.fromkeys(stages, 0.0))
+        lambda investigation, base, name, vehicle, stages: (
+            tried.append(vehicle) or Screened(name, vehicle, 0.0, "drive")
         ),
     )
     screen(found, found.base, "drive_delay")
