@@ -28,11 +28,7 @@ log = logging.getLogger(__name__)
 # fast-math lets the compiler take the vector versions of sin, atan, …; NaN still spreads through sums.
 # cos is written as a shifted sin: sin and cos of one angle would be fused to a complex exponential, which has none.
 FLAGS = ("-march=native", "-ffast-math", "-fopenmp-simd", "-fPIC")
-THOROUGH = ("-O3",)
-# gcc takes registers of 256 bits on most processors that have 512
-WIDE = ("-mprefer-vector-width=512",) if platform.machine() == "x86_64" else ()
-# fused multiply-adds are among what -O1 holds to be expensive
-QUICK = ("-O1", "-ftree-vectorize", "-fno-tree-slp-vectorize", "-fexpensive-optimizations", *WIDE)
+THOROUGH, QUICK = ("-O3",), ("-O1", "-ftree-vectorize", "-fno-tree-slp-vectorize")
 
 ABANDONED = 3600.0  # s, after which a folder that a compiler works in was left behind
 

@@ -113,22 +113,6 @@ static inline void spread(const lane *restrict a, const lane *restrict b, const 
 {direct}
 }}
 
-/* H += (dy/dz)' w^2 (dy/dz), its lower triangle; g += (dy/dz)' w e; inlined, it would look up H in every step */
-static __attribute__((noinline)) void tally(const lane *restrict w, const lane *restrict e, long D,
-                                            lane (*restrict Z)[D], lane (*restrict H)[D], lane *restrict g) {{
-    for (int i = 0; i < D; i++) {{
-        lane J[C];
-        #pragma omp simd
-        for (int l = 0; l < LANES; l++) {{
-{weighed}
-            g[i][l] += {along};
-        }}
-        for (int j = 0; j <= i; j++)
-            #pragma omp simd
-            for (int l = 0; l < LANES; l++) H[i][j][l] += {normal};
-    }}
-}}
-
 static void along(const lane *restrict x, const lane *restrict k, real h, lane *restrict y, int rows) {{
     for (int i = 0; i < rows; i++)
         #pragma omp simd
@@ -233,7 +217,17 @@ void accumulate(const real *x_0, const real *inputs, const real *parameters, con
                     e[c][l] = w[c][l] * (v[c][l] - m[c][l]);
                     q[c][l] += e[c][l] * e[c][l];
                 }}
-            tally(w, e, D, Z, H, g);
+            for (int i = 0; i < D; i++) {{
+                lane J[C];
+                #pragma omp simd
+                for (int l = 0; l < LANES; l++) {{
+{weighed}
+                    g[i][l] += {along};
+                }}
+                for (int j = 0; j <= i; j++)
+                    #pragma omp simd
+                    for (int l = 0; l < LANES; l++) H[i][j][l] += {normal};
+            }}
             if (t == intervals) break;
             LOAD(u, inputs + t * U * n, U);
             for (long step = 0; step < steps; step++) {{
@@ -630,7 +624,7 @@ def source(rollout: Equations) -> str:
         direct=_direct("PUSH", f_p),
         seen="\n".join(f"            K[{i}][d][l] = {_sum(row.values())};" for i, row in enumerate(_terms(y_x))),
         seen_direct=_direct("SEE", y_p),
-        weighed="\n".join(f"{12 * ' '}J[{c}][l] = w[{c}][l] * w[{c}][l] * Z[{c}][i][l];" for c in channels),
+        weighed="\n".join(f"{20 * ' '}J[{c}][l] = w[{c}][l] * w[{c}][l] * Z[{c}][i][l];" for c in channels),
         along=_sum(f"w[{c}][l] * Z[{c}][i][l] * e[{c}][l]" for c in channels),
         normal=_sum(f"J[{c}][l] * Z[{c}][j][l]" for c in channels),
         jacobian=f_x.nnz(),
