@@ -81,11 +81,11 @@ def fit_model(
     if start is not None and set(names) < set(data.evidence):
         known = data.known_elsewhere(names)
         unknowns = [unknown for unknown in unknowns if unknown.name not in known]
-    parts = [
-        StageProblem.of(data.evidence[n], data.kernels[n], vehicle, unknowns, data.sigma[n], workers=data.workers)
-        for n in names
-    ]
-    problem = Problem(parts, unknowns, [(strength or carried)[name] for name in names])
+    problem = Problem(
+        [StageProblem.of(data.evidence[n], data.kernels[n], vehicle, unknowns, data.sigma[n]) for n in names],
+        unknowns,
+        [(strength or carried)[name] for name in names],
+    )
     table = {name: float(value) for name, value in values(vehicle).items()}
     initial = None if start is None else [begun(stage, start.initial, index) for stage in problem.stages]
     chosen = None if index is None else [index[name] for name in names]

@@ -26,7 +26,7 @@ def expected_errors(stage: StageProblem, theta: Mapping[str, float], initial: Ar
     generator = np.random.default_rng(seed)
     alone = stage.at(theta)
     still = replace(alone.windows({}), initial=initial)
-    truth = stage.rollout.predict(alone.parameters({}), still, stage.threads)
+    truth = stage.rollout.predict(alone.parameters({}), still)
     noisy = replace(alone, evidence=stage.evidence.with_noisy_inputs(generator))
     work = StageFit(noisy, {}, None)
     shown = truth + noise[:, None] * generator.standard_normal(truth.shape)

@@ -37,7 +37,6 @@ MOST = 4  # numbers; a car that differs in more is another car
 ALONE = ("yaw_inertia", "l_f", "steering.time_constant", "drive.time_constant")  # numbers that are not the tyres'
 SLIGHT = 0.02  # share by which a refit may move such a number without being asked for
 STEPS, FULLY = 4, 5  # of a trial on a share of the windows; numbers that are fitted to all of them then
-FIRST = 8  # steps of these fits, that say which to fit to its end
 
 
 @dataclass(frozen=True)
@@ -127,25 +126,16 @@ def _left_alone(gap: "_Gap", few: Numbers, around: Numbers) -> Numbers:
 
 
 def _best(gap: "_Gap", few: Numbers) -> Numbers | None:
-    """Return the numbers with the one more that explains most, of those that are to be told; None without any.
+    """Return the numbers with the one more that explains most, of those that are to be told; None without any."""
 
-    A few steps say which explain enough, or else which explains most: these are fitted to their end, and the first that
-    is to be told then is told.
-    """
-
-    def with_it(name: str, start: Numbers, steps: int) -> Numbers:
-        more, stages = gap.fitted((*few.gained, name), start, steps), gap.stages_of(name)
+    def tried(name: str) -> Numbers:
+        more, stages = gap.fitted((*few.gained, name), few), gap.stages_of(name)
         return replace(more, gained={**few.gained, name: Gained(gap.gain(few, more, stages), tuple(stages))})
 
-    def told(name: str, more: Numbers) -> bool:
-        return gap.tells(few, more, gap.stages_of(name)) and gap.in_reach(more)
-
     names = _promising(gap, few)
-    trials = gap.investigation.workers.each(lambda name: with_it(name, few, FIRST), names)
-    order = sorted(zip(names, trials, strict=True), key=lambda each: gap.share(each[1].cost))
-    enough = [each for each in order if told(*each)] or order[:1]
-    ends = ((name, with_it(name, trial, LONGEST)) for name, trial in enough)
-    return next((more for name, more in ends if told(name, more)), None)
+    trials = zip(names, gap.investigation.workers.each(tried, names), strict=True)
+    told = [more for name, more in trials if gap.tells(few, more, gap.stages_of(name)) and gap.in_reach(more)]
+    return min(told, key=lambda more: gap.share(more.cost), default=None)
 
 
 def _promising(gap: "_Gap", few: Numbers) -> list[str]:
@@ -289,12 +279,12 @@ class _Gap:
         displaced = COG in self.named.effects
         return [name for name in NUMBERS if self.stages_of(name) and not (displaced and name == "l_f")]
 
-    def fitted(self, names: Sequence[str], start: Numbers, steps: int = LONGEST) -> Numbers:
-        """Return the vehicle with its effects and some numbers fitted by so many steps, from where others ended."""
+    def fitted(self, names: Sequence[str], start: Numbers) -> Numbers:
+        """Return the vehicle with its effects and some numbers fitted, from where others ended."""
         stages = self._stages(names)
         if not stages:
             return start
-        found = self._fit(names, start, stages, steps, None)
+        found = self._fit(names, start, stages, LONGEST, None)
         gained = {name: start.gained[name] for name in names if name in start.gained}
         return Numbers(gained, found, {**self.configured.cost, **found.cost})
 

@@ -81,7 +81,7 @@ def score(
     windows.initial[len(STATE) :] = follow(car, problem.evidence, problem.shifts(theta))[:, problem.evidence.start]
     present = [size + i for i, name in enumerate(rollout.active) if problem.has(name)]
     asked = [*range(size), *present]
-    parts = rollout.accumulate(problem.parameters(theta), windows, problem.threads, asked, problem.silent())
+    parts = rollout.accumulate(problem.parameters(theta), windows, columns=asked, silent=problem.silent())
     trust = np.array([problem.evidence.trust(rollout.active[i - size]) for i in present])
     line = Linear.of(parts, size, problem.evidence)
     line = replace(line, xx=line.xx + np.diag(trust))

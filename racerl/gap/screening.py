@@ -54,13 +54,7 @@ def scores(investigation: Investigation, base: FittedModel) -> dict[str, Score]:
         known = investigation.known_elsewhere([name])
         unknowns = [u for u in unknowns_with(investigation, base.effects, base.vehicle) if u.name not in known]
         problem = StageProblem.of(
-            evidence,
-            investigation.kernels[name],
-            base.vehicle,
-            unknowns,
-            investigation.sigma[name],
-            whole=True,
-            workers=investigation.workers,
+            evidence, investigation.kernels[name], base.vehicle, unknowns, investigation.sigma[name], whole=True
         )
         part = score(problem, unknowns, base.theta, begun(problem, base.initial, None), base.strength[name])
         share = REMAINDER if investigation.shaped and name == TYRES else FELT  # as a candidate is judged

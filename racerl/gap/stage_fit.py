@@ -81,7 +81,7 @@ class StageFit:
         windows, slope = self._now(theta), self.drift(theta)[1]
         with np.errstate(all="ignore"):
             parts = self.problem.rollout.accumulate(
-                self.problem.parameters(theta), windows, self.problem.threads, self.columns, self.silent
+                self.problem.parameters(theta), windows, columns=self.columns, silent=self.silent
             )
         M = self.mixing
         with np.errstate(invalid="ignore"):  # windows that blow up make the cost infinite
@@ -187,7 +187,7 @@ class StageFit:
     def errors(self, theta: Mapping[str, float]) -> Array:
         """Return simulated − measured (T + 1, C, W) from the initial states as they are."""
         windows, parameters = self._now(theta), self.problem.parameters(theta)
-        return self.problem.rollout.predict(parameters, windows, self.problem.threads) - windows.measured
+        return self.problem.rollout.predict(parameters, windows) - windows.measured
 
     def losses(self, theta: Mapping[str, float]) -> float:
         """Return the summed loss of the windows, n as where the fit began; infinite where one blew up."""
@@ -199,7 +199,7 @@ class StageFit:
         """Return the cost per window (W,), as the initial states are."""
         windows, parameters = self._now(theta), self.problem.parameters(theta)
         with np.errstate(all="ignore"):
-            squares = self.problem.rollout.squares(parameters, windows, self.problem.threads).sum(axis=1)
+            squares = self.problem.rollout.squares(parameters, windows).sum(axis=1)
             return np.asarray(squares + (self._away() ** 2 * self.precision).sum(axis=1))
 
     def _now(self, theta: Mapping[str, float]) -> Windows:

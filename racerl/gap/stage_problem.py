@@ -1,7 +1,7 @@
 """One stage's share of a fit: what of θ it depends on, its kernel, and its windows with their noise."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -14,7 +14,6 @@ from racerl.gap.follow import follow
 from racerl.gap.kernels import StageKernel, StageKernels
 from racerl.gap.presence import inner, only_shifts, with_all
 from racerl.gap.stage import SHIFTS, StageRollout
-from racerl.gap.workers import Workers
 from racerl.vehicle.parameter import replace_values, values
 from racerl.vehicle.rollout import Windows
 from racerl.vehicle.vehicle import STATE, Vehicle
@@ -31,7 +30,6 @@ class StageProblem:
     vehicle: Vehicle
     names: tuple[str, ...]  # of θ, in this stage
     sigma: Array  # (C,)
-    workers: Workers = field(default_factory=Workers)
 
     @classmethod
     def of(
@@ -43,12 +41,11 @@ class StageProblem:
         sigma: Array,
         *,
         whole: bool = False,
-        workers: Workers | None = None,
     ) -> "StageProblem":
         """Choose the unknowns that matter to the stage, and its kernel; `whole`: one with the whole catalogue."""
         kernel = kernels.choose(vehicle, whole=whole)
         matter = [u.name for u in unknowns if matters(evidence, kernel, vehicle, u.name)]
-        return cls(evidence, kernel, vehicle, tuple(matter), sigma, workers or Workers())
+        return cls(evidence, kernel, vehicle, tuple(matter), sigma)
 
     @staticmethod
     def touched(evidence: Evidence, kernels: StageKernels, vehicle: Vehicle, unknowns: Sequence[Unknown]) -> bool:
@@ -60,11 +57,6 @@ class StageProblem:
     def rollout(self) -> StageRollout:
         """Return the kernel's rollout."""
         return self.kernel.rollout
-
-    @property
-    def threads(self) -> int:
-        """Number of threads that may roll out its windows."""
-        return self.workers.spare
 
     def told(self) -> list[Any]:
         """Return all that a fit of these windows comes from, but for where it starts."""
@@ -142,7 +134,7 @@ class StageProblem:
     def errors(self, theta: Mapping[str, float], initial: Array) -> Array:
         """Return simulated − measured (T + 1, C, W)."""
         windows = replace(self.windows(theta), initial=initial)
-        return self.rollout.predict(self.parameters(theta), windows, self.threads) - windows.measured
+        return self.rollout.predict(self.parameters(theta), windows) - windows.measured
 
     def at(self, theta: Mapping[str, float]) -> "StageProblem":
         """Return the stage's share at θ, of which nothing varies."""

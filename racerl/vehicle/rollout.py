@@ -42,6 +42,7 @@ Array = NDArray[np.float64]
 LANES = 8
 INPUTS = ("delta", "omega")  # what drives the car, measured where its actuator is given
 UNDO = 3  # passes of the fixed-point iteration that inverts a sensor; each takes its error to its square or better
+CHUNK = 64  # windows per call of the compiled kernel
 
 TEMPLATE = """
 #include <math.h>
@@ -482,11 +483,10 @@ def _per_window(parameters: Array, windows: Windows) -> Array:
 
 
 def _in_chunks(run: Any, windows: Windows, parameters: Array, threads: int) -> list[Any]:
-    """Call `run` on as many chunks of windows as there are threads, in order; all but the last fill all lanes."""
-    size = LANES * -(-windows.count // (LANES * threads))
-    if threads == 1 or windows.count <= size:
+    """Call `run` on chunks of windows, in order, the compiled kernel letting other threads work; on all with one."""
+    if threads == 1:
         return [run(windows, parameters)]
-    parts = [slice(first, first + size) for first in range(0, windows.count, size)]
+    parts = [slice(first, first + CHUNK) for first in range(0, windows.count, CHUNK)]
     chunks = [(windows.take(part), parameters[:, part]) for part in parts]
     with ThreadPoolExecutor(threads) as pool:
         return list(pool.map(lambda chunk: run(*chunk), chunks))

@@ -195,14 +195,6 @@ def test_other_threads_end_before_their_next_fit():
         workers.go_on()
 
 
-def test_threads_that_are_left_over_work_on_the_windows_of_a_fit():
-    """All of them where one fit runs alone, a share of them beside others."""
-    workers = Workers(4)
-    assert workers.spare == 4
-    assert [workers.each(lambda item: workers.spare, range(count)) for count in (1, 2, 9)] == [[4], [2, 2], [1] * 9]
-    assert workers.spare == 4
-
-
 def test_a_compiler_that_the_user_interrupts_is_no_broken_compiler(tmp_path, monkeypatch):
     compiler = tmp_path / "cc"
     compiler.write_text('#!/bin/sh\n[ "$1" = --version ] || kill -INT $$\n')

@@ -29,10 +29,9 @@ from racerl.gap.stage_fit import WAYS, StageFit
 from racerl.gap.stage_problem import StageProblem
 from racerl.gap.uncertainty import deviations
 from racerl.gap.verdict import judge
-from racerl.gap.workers import Workers
 from racerl.vehicle.ops import TORCH
 from racerl.vehicle.parameter import replace_values, values
-from racerl.vehicle.rollout import LANES, Windows
+from racerl.vehicle.rollout import Windows
 from racerl.vehicle.vehicle import STATE
 from tests.gap.conftest import configured, drive, investigate
 from tests.vehicle.conftest import make_car, random_states
@@ -297,17 +296,6 @@ def inertia_problem(log):
     return Problem([StageProblem.of(evidence, kernels, car, unknowns, sigma)], unknowns)
 
 
-def test_a_fit_is_the_same_however_many_threads_roll_out_its_windows(clean):
-    alone = inertia_problem(clean)
-    (stage,) = alone.stages
-    beside = Problem([dataclasses.replace(stage, workers=Workers(3))], alone.unknowns)
-    assert (stage.threads, beside.stages[0].threads) == (1, 3) and len(stage.evidence.start) > 3 * LANES
-    fits = [problem.fit({"yaw_inertia": 0.2}) for problem in (alone, beside)]
-    assert fits[0].theta == fits[1].theta and fits[0].theta["yaw_inertia"] != 0.2
-    assert np.array_equal(fits[0].cost[0], fits[1].cost[0]) and np.array_equal(fits[0].initial[0], fits[1].initial[0])
-
-
-@needs_compiler
 def test_windows_that_no_vehicle_foresees_do_not_decide(clean, monkeypatch):
     """A heading that is late in a few turns must not move the inertia; in plain least squares it does."""
     table = clean.table.copy()

@@ -13,7 +13,6 @@ from racerl.gap.diagnose import gap
 from racerl.gap.naming import name_effects
 from racerl.gap.numbers import as_configured, wrong_numbers
 from racerl.gap.sentences import numbers_told
-from racerl.gap.workers import Workers
 from racerl.report.gap_page import draw_gap
 from racerl.vehicle.load import load_vehicle
 from racerl.vehicle.parameter import replace_values, values
@@ -43,44 +42,6 @@ def test_wrong_numbers_are_found_with_their_values_and_nothing_else_is_changed(r
     assert facts["explained"] > 0.97
     asked, found = values(configured()[0]), values(numbers.found.vehicle)
     assert {name: found[name] for name in found if name not in OFF} == {n: asked[n] for n in asked if n not in OFF}
-
-
-def test_a_number_that_runs_out_of_reach_leaves_it_to_the_next(monkeypatch):
-    """Left over of the gap after a few steps and in the end; the best of these is at its bound in the end."""
-    left = {"friction": (0.2, 0.1), "yaw_inertia": (0.4, 0.3), "l_f": (1.0, 0.9)}
-
-    class Gap:
-        def __init__(self):
-            self.investigation, self.ended = SimpleNamespace(workers=Workers()), []
-
-        def fitted(self, names, start, steps):
-            short = steps < numbers_module.LONGEST
-            self.ended += [] if short else names
-            return numbers_module.Numbers({}, (names[-1], short), {"chassis": left[names[-1]][0 if short else 1]})
-
-        def stages_of(self, name):
-            return ["chassis"]
-
-        def share(self, cost):
-            return cost["chassis"]
-
-        def gain(self, few, more, stages):
-            return few.cost["chassis"] - more.cost["chassis"]
-
-        def tells(self, few, more, stages):
-            return self.gain(few, more, stages) > 0.5
-
-        def in_reach(self, more):
-            return more.found != ("friction", False)
-
-    nothing = numbers_module.Numbers({}, None, {"chassis": 1.0})
-    monkeypatch.setattr(numbers_module, "_promising", lambda gap, few: list(left))
-    gap = Gap()
-    best = numbers_module._best(gap, nothing)
-    assert best.found == ("yaw_inertia", False) and best.gained["yaw_inertia"].share == pytest.approx(0.7)
-    assert gap.ended == ["friction", "yaw_inertia"]
-    monkeypatch.setattr(numbers_module, "_promising", lambda gap, few: ["l_f"])
-    assert numbers_module._best(gap, nothing) is None and gap.ended[-1] == "l_f"  # what tells little may tell more
 
 
 def test_what_is_held_is_not_found_wrong(refitted):
