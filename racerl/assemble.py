@@ -188,14 +188,22 @@ def build_race(
     )
 
 
-def build_races(settings: Settings, *, cars: int, seed: int, device: torch.device, times: int = 1) -> Race | Races:
+def build_races(
+    settings: Settings,
+    *,
+    cars: int,
+    seed: int,
+    device: torch.device,
+    times: int = 1,
+    termination: Termination | None = None,
+) -> Race | Races:
     """Build the race of a training: `cars` cars `times` over, each time spread evenly over the tracks in their order.
 
     Raises ConfigError for fewer cars than tracks, and where the observation is of one track only.
     """
     worlds = one_world_each(settings)
     if len(worlds) == 1:
-        return build_race(settings, cars=times * cars, seeds=[seed], device=device)
+        return build_race(settings, cars=times * cars, seeds=[seed], device=device, termination=termination)
     if cars < len(worlds):
         raise ConfigError(f"{cars} cars for {len(worlds)} tracks: allowed is at least one for each")
     counts = [cars // len(worlds) + (i < cars % len(worlds)) for i in range(len(worlds))]
@@ -203,7 +211,7 @@ def build_races(settings: Settings, *, cars: int, seed: int, device: torch.devic
     seeds = [seed + SEED_STEP * i for i in range(len(parts))]
     return Races(
         [
-            build_race(world, cars=count, seeds=[own], device=device)
+            build_race(world, cars=count, seeds=[own], device=device, termination=termination)
             for (world, count), own in zip(parts, seeds, strict=True)
         ]
     )

@@ -37,12 +37,8 @@ class Races:
     def __init__(self, races: Sequence[Race]) -> None:
         first = races[0]
         self.races = tuple(races)
-        self.observation, self.action, self.device, self.waits = (
-            first.observation,
-            first.action,
-            first.device,
-            first.waits,
-        )
+        self.observation, self.action, self.timing = first.observation, first.action, first.timing
+        self.device, self.waits = first.device, first.waits
         self.counts = [race.count for race in races]
         self.count = sum(self.counts)
         self.dice = Dices(races)

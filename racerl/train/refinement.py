@@ -1,16 +1,19 @@
 """Refinement of a policy by an evolution strategy on its weights: no critic, no discount, no noise in the actions.
 
-Pairs of cars drive from one state, one with weights θ + σ ε, the other with θ − σ ε. With F± the metres of progress
-that they make until a crash, and w = clip(F₊ − F₋, ± most),
+Pairs of cars drive from one state, one with weights θ + σ ε, the other with θ − σ ε. What each makes of it until a
+crash is F = Σ Δs − price Σ max(0, reserve − d) Δt, the metres of progress less a price for being closer to the boundary
+than the reserve, d the distance to it. With w = clip(F₊ − F₋, ± most median |F₊ − F₋|),
 
     g = Σ w ε,    m ← β m + (1 − β) g,    θ ← θ + α ‖θ‖ m/‖m‖  (layer by layer, norms root-mean-square).
 
+The price is what keeps the car on the track, since it has a slope; the end of an episode at the boundary has none, and
+metres lost by the few pairs of which one crosses it drown the centimetres that all others gain. Hence the clip, too.
+
 A layer's ε is a bᵀ with normally distributed a and b, others for every pair (rank one, as EGGROLL has it, 2025): all
 cars then share one matrix product. Weights are counted with their inputs' root mean square r as unit, W r, so that no
-input decides alone; σ and α are shares of their root mean square and fall; `most` grows, so that crashes count more
-in the end. The states are those of cars that the policy drives; both of a pair have one draw of random parameters.
-A tenth or so of the pairs begin at starts; a start that ended in a crash is mostly tried again, so that the policy
-practises what it cannot do.
+input decides alone; σ and α are shares of their root mean square and fall. The states are those of cars that the policy
+drives; both of a pair have one draw of random parameters. Some of the pairs begin at starts; a start from which a car
+left the track is mostly tried again, so that the policy practises what it cannot do.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,6 +28,7 @@ from racerl.assemble import unlimited
 from racerl.control.policy import SLOPE, Policy
 from racerl.env.race import Race
 from racerl.env.races import Races
+from racerl.env.termination import Crash
 from racerl.errors import ConfigError
 from racerl.train import checkpoint
 from racerl.train.checkpoint import section
@@ -47,13 +51,15 @@ class Refinement:
     again: float
     perturbation: Sequence[float]
     step: Sequence[float]
-    most: Sequence[float]
+    most: float
+    price: float
+    reserve: float
     momentum: float
 
     def __post_init__(self) -> None:
         for name in ("generations", "evaluations", "pairs", "horizon", "between", "episode"):
             bounds.whole(f"budget.refinement.{name}", getattr(self, name), 1, 10**6)
-        for name, largest in (("perturbation", 1.0), ("step", 1.0), ("most", 1e6)):
+        for name, largest in (("perturbation", 1.0), ("step", 1.0)):
             pair = getattr(self, name)
             if isinstance(pair, str) or not isinstance(pair, Sequence) or len(pair) != 2:
                 raise ConfigError(
@@ -61,6 +67,9 @@ class Refinement:
                 )
             for number in pair:
                 bounds.number(f"budget.refinement.{name}", number, 1e-9, largest)
+        bounds.number("budget.refinement.most", self.most, 1.0, 1e6)
+        bounds.number("budget.refinement.price", self.price, 0.0, 1e6)
+        bounds.number("budget.refinement.reserve", self.reserve, 0.0, 1.0)
         bounds.number("budget.refinement.momentum", self.momentum, 0.0, 0.999)
         bounds.number("budget.refinement.again", self.again, 0.0, 0.999)
 
@@ -86,7 +95,8 @@ def refine(session: Session, settings: Refinement, policy: Policy, before: int, 
     crash, all of whose laps stay on the track, 0 where the best before was such; None if there was none.
     """
     world = unlimited(session.settings)
-    lead, race = (session.build_races(settings.pairs, world, times) for times in (1, 2))
+    lead = session.build_races(settings.pairs, world)
+    race = session.build_races(settings.pairs, world, 2, Crash())
     search = Search(settings, policy.network, lead, race, session.seed)
     path = session.folder.path / FILE
     state = checkpoint.recover(path, search.restore)
@@ -114,7 +124,7 @@ def refine(session: Session, settings: Refinement, policy: Policy, before: int, 
             session.logger.dump(steps)
             between()
             rate = (number - first) * settings.steps / (session.seconds - now)
-            whole, reward = settings.generations * settings.steps, measures["progress"] / settings.horizon
+            whole, reward = settings.generations * settings.steps, measures["fitness"] / settings.horizon
             told = Progress(steps - before, whole, session.seconds, rate, reward, session.last, "refine")
             session.on_progress(told)
     steps = before + settings.generations * settings.steps
@@ -198,10 +208,11 @@ class Search:
         scales = self._scales()
         normal = [self._normal(layer, scale) for layer, scale in zip(self.linear, scales, strict=True)]
         sizes = [_rms(_whole(layer) * scale) for layer, scale in zip(self.linear, scales, strict=True)]
-        progress = self._fitness(normal, [sigma * size for size in sizes])
-        ahead, behind = progress.chunk(2)
-        most = settings.at(settings.most, self.generation)
-        weight = (ahead - behind).clamp(-most, most)
+        fitness = self._fitness(normal, [sigma * size for size in sizes])
+        ahead, behind = fitness.chunk(2)
+        gain = ahead - behind
+        most = settings.most * gain.abs().median()
+        weight = gain.clamp(-most, most)
         for i, (layer, (a, b)) in enumerate(zip(self.linear, normal, strict=True)):
             slope = (a * weight[:, None]).T @ (b * scales[i])
             self.momentum[i] = settings.momentum * self.momentum[i] + (1.0 - settings.momentum) * slope
@@ -211,7 +222,7 @@ class Search:
                 layer.weight.add_(step[:, :-1])
                 layer.bias.add_(step[:, -1])
         self.generation += 1
-        return {"progress": float(progress.mean()), "crashes": float(self.crashed.float().mean())}
+        return {"fitness": float(fitness.mean()), "crashes": float(self.crashed.float().mean())}
 
     def _scales(self) -> list[Tensor]:
         """Return the root mean square of every layer's inputs (in + 1,), over the cars that the policy drives."""
@@ -253,18 +264,20 @@ class Search:
         self.race.restore({**twice, "dice": self.race.dice.snapshot()})
 
     def _fitness(self, normal: Sequence[tuple[Tensor, Tensor]], sizes: Sequence[Tensor]) -> Tensor:
-        """Return the metres (2 P,) that all cars make until they crash."""
-        race = self.race
+        """Return what all cars make (2 P,) in m until they crash: progress, less the price of the boundary."""
+        race, settings = self.race, self.settings
         driving = torch.ones(race.count, dtype=torch.bool, device=race.device)
-        progress = torch.zeros(race.count, device=race.device)
+        fitness = torch.zeros(race.count, device=race.device)
         observation = race.observe()
-        for _ in range(self.settings.horizon):
+        for _ in range(settings.horizon):
             step = race.step(self._perturbed(observation, normal, sizes))
             driving &= ~step.terminated
-            progress += step.progress.masked_fill(~driving, 0.0)
+            close = (settings.reserve - step.margin).clamp(min=0.0)
+            made = step.progress - settings.price * race.timing.dt * close
+            fitness += made.masked_fill(~driving, 0.0)
             observation = step.observation
         self.crashed = ~driving
-        return progress
+        return fitness
 
     def _perturbed(self, x: Tensor, normal: Sequence[tuple[Tensor, Tensor]], sizes: Sequence[Tensor]) -> Tensor:
         """Return the actions (2 P, 2) of the networks θ ± σ ε."""

@@ -21,7 +21,7 @@ from racerl.env.black_box import read_failures, write_failures
 from racerl.env.observations import settings_of
 from racerl.env.race import Race
 from racerl.env.races import Races
-from racerl.env.termination import Crash
+from racerl.env.termination import Crash, Termination
 from racerl.errors import ConfigError, Diverged, DocumentError, RunError
 from racerl.evaluate.drive import drive
 from racerl.evaluate.laps import score
@@ -199,9 +199,22 @@ class Session:
         self.races.append(race)
         return race
 
-    def build_races(self, cars: int, settings: Mapping[str, Any] | None = None, times: int = 1) -> Race | Races:
+    def build_races(
+        self,
+        cars: int,
+        settings: Mapping[str, Any] | None = None,
+        times: int = 1,
+        termination: Termination | None = None,
+    ) -> Race | Races:
         """Return a race of all tracks, its cars `times` over, of the training's world or of the settings given."""
-        race = build_races(settings or self.settings, cars=cars, seed=self.seed, device=self.device, times=times)
+        race = build_races(
+            settings or self.settings,
+            cars=cars,
+            seed=self.seed,
+            device=self.device,
+            times=times,
+            termination=termination,
+        )
         self.races += race.races if isinstance(race, Races) else [race]
         return race
 

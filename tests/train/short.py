@@ -13,7 +13,9 @@ SHORT = {
     "momentum": 0.9,
     "perturbation": "[0.02,0.005]",
     "step": "[0.005,0.0005]",
-    "most": "[0.3,1.0]",
+    "most": 3.0,
+    "price": 100.0,
+    "reserve": 0.006,
 }
 
 

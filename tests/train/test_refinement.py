@@ -10,6 +10,7 @@ import torch
 from racerl.assemble import build_races
 from racerl.config import compose_settings
 from racerl.control.policy import UNREFINED, build_network, load_policy
+from racerl.env.termination import Crash
 from racerl.errors import ConfigError, RunError
 from racerl.evaluate.evaluate import evaluate
 from racerl.train import session
@@ -31,7 +32,9 @@ PLAN = Refinement(
     again=0.5,
     perturbation=[0.1, 0.1],
     step=[0.1, 0.1],
-    most=[1.0, 1.0],
+    most=3.0,
+    price=100.0,
+    reserve=0.0,
     momentum=0.5,
 )
 
@@ -40,7 +43,10 @@ def search(plan=PLAN, *words, hidden=8, seed=0):
     settings = compose_settings("train", [*SMOKE, *words])
     torch.manual_seed(seed)
     lead, race = (
-        build_races(settings, cars=plan.pairs, seed=seed, device=torch.device("cpu"), times=times) for times in (1, 2)
+        build_races(
+            settings, cars=plan.pairs, seed=seed, device=torch.device("cpu"), times=times, termination=termination
+        )
+        for times, termination in ((1, None), (2, Crash()))
     )
     network = build_network([lead.observation.size, hidden, 2]).requires_grad_(False)
     return Search(plan, network, lead, race, seed)
@@ -91,24 +97,58 @@ def test_it_learns_to_go_faster():
         layer.weight.zero_()
     found.linear[0].bias.fill_(0.1)
     found.linear[1].bias.copy_(torch.tensor([0.0, -0.2]))
-    progress = [found.advance()["progress"] for _ in range(plan.generations)]
-    assert progress[-1] > 1.1 * progress[0]
+    fitness = [found.advance()["fitness"] for _ in range(plan.generations)]
+    assert fitness[-1] > 1.1 * fitness[0]
 
 
-def test_a_crash_does_not_decide_alone(monkeypatch):
-    """Beyond `most` it does not matter by how much one of a pair wins."""
+@pytest.mark.parametrize(("most", "alike"), [(3.0, True), (1e6, False)])
+def test_a_crash_does_not_decide_alone(most, alike, monkeypatch):
+    """Beyond `most` times the median difference it does not matter by how much one of a pair wins."""
     steps = []
     for far in (1.0, 50.0):
-        found = search()
+        found = search(replace(PLAN, most=most))
         before = found.linear[0].weight.clone()
-        won = torch.zeros(2 * PLAN.pairs)
-        won[3] = far
-        won[5] = 1.0
+        won = torch.linspace(0.05, 0.15, 2 * PLAN.pairs).roll(5)
+        won[3] += far
         monkeypatch.setattr(found, "_fitness", lambda normal, sizes, won=won: won)
         found.crashed = torch.zeros(1)
         found.advance()
         steps.append(found.linear[0].weight - before)
-    assert torch.equal(*steps)
+    assert torch.equal(*steps) == alike
+
+
+def test_the_boundary_has_a_price():
+    """Whoever crosses it pays, also for coming closer than the reserve; who keeps away makes what he drives."""
+    found = []
+    for price, reserve in ((0.0, 0.0), (100.0, 0.0), (100.0, 0.1)):
+        one = search(replace(PLAN, price=price, reserve=reserve, horizon=30), "track=oval")
+        for layer in one.linear:
+            layer.weight.zero_()
+        one.linear[1].bias.copy_(torch.tensor([0.4, 0.4]))  # bears off
+        one._begin()
+        normal = [one._normal(layer, scale) for layer, scale in zip(one.linear, one._scales(), strict=True)]
+        found.append(one._fitness(normal, [torch.zeros(())] * 2))
+    free, paid, closer = found
+    assert one.crashed.any() and (paid[one.crashed] < free[one.crashed]).all()
+    assert (closer < paid).any() and (closer <= paid).all() and (closer == free).any()
+
+
+def test_what_the_price_is_of():
+    """Standing 0.02 m inside a reserve of 0.05 m for 20 steps of 0.05 s costs 100 · 0.03 · 1 m."""
+    one = search(replace(PLAN, price=100.0, reserve=0.05), "track=oval")
+    steps = SimpleNamespace(
+        terminated=torch.zeros(64, dtype=torch.bool),
+        progress=torch.full((64,), 0.3),
+        margin=torch.full((64,), 0.02),
+        observation=one.race.observe(),
+    )
+    stub = SimpleNamespace(
+        count=64, device=one.race.device, observe=one.race.observe, timing=one.race.timing, step=lambda action: steps
+    )
+    one.race = stub
+    normal = [one._normal(layer, scale) for layer, scale in zip(one.linear, one._scales(), strict=True)]
+    fitness = one._fitness(normal, [torch.zeros(())] * 2)
+    assert fitness.tolist() == pytest.approx([20 * 0.3 - 100 * 0.03 * 20 * one.lead.timing.dt] * 64)
 
 
 def test_a_start_that_ends_in_a_crash_is_tried_again():
@@ -200,6 +240,9 @@ def test_a_damaged_checkpoint_is_one_line(tmp_path):
         ("budget.refinement.step=0.1", "two numbers"),
         ("budget.refinement.perturbation=[0.1,-1]", "perturbation"),
         ("budget.refinement.momentum=1.5", "momentum"),
+        ("budget.refinement.most=0", "most"),
+        ("budget.refinement.price=-1", "price"),
+        ("budget.refinement.reserve=x", "reserve"),
         ("budget.refinement=3", "or null"),
         ("+budget.refinement.speed=3", "no setting 'speed'"),
     ],
