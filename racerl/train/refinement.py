@@ -2,7 +2,8 @@
 
 Pairs of cars drive from one state, one with weights θ + σ ε, the other with θ − σ ε. What each makes of it until a
 crash is F = Σ Δs − price Σ max(0, reserve − d) Δt, the metres of progress less a price for being closer to the boundary
-than the reserve, d the distance to it. With w = clip(F₊ − F₋, ± most median |F₊ − F₋|),
+than the reserve, d the distance to it; once crashed a car makes nothing and counts as 0.2 m beyond the boundary. With
+w = clip(F₊ − F₋, ± most median |F₊ − F₋|),
 
     g = Σ w ε,    m ← β m + (1 − β) g,    θ ← θ + α ‖θ‖ m/‖m‖  (layer by layer, norms root-mean-square).
 
@@ -28,7 +29,7 @@ from racerl.assemble import unlimited
 from racerl.control.policy import SLOPE, Policy
 from racerl.env.race import Race
 from racerl.env.races import Races
-from racerl.env.termination import Crash
+from racerl.env.termination import CRASH_DISTANCE, Crash
 from racerl.errors import ConfigError
 from racerl.train import checkpoint
 from racerl.train.checkpoint import section
@@ -264,7 +265,7 @@ class Search:
         self.race.restore({**twice, "dice": self.race.dice.snapshot()})
 
     def _fitness(self, normal: Sequence[tuple[Tensor, Tensor]], sizes: Sequence[Tensor]) -> Tensor:
-        """Return what all cars make (2 P,) in m until they crash: progress, less the price of the boundary."""
+        """Return what all cars make (2 P,) in m: progress until they crash, less the price of the boundary."""
         race, settings = self.race, self.settings
         driving = torch.ones(race.count, dtype=torch.bool, device=race.device)
         fitness = torch.zeros(race.count, device=race.device)
@@ -272,9 +273,9 @@ class Search:
         for _ in range(settings.horizon):
             step = race.step(self._perturbed(observation, normal, sizes))
             driving &= ~step.terminated
-            close = (settings.reserve - step.margin).clamp(min=0.0)
-            made = step.progress - settings.price * race.timing.dt * close
-            fitness += made.masked_fill(~driving, 0.0)
+            margin = step.margin.masked_fill(~driving, -CRASH_DISTANCE)
+            close = (settings.reserve - margin).clamp(min=0.0)
+            fitness += step.progress.masked_fill(~driving, 0.0) - settings.price * race.timing.dt * close
             observation = step.observation
         self.crashed = ~driving
         return fitness

@@ -91,7 +91,7 @@ def test_inputs_count_by_their_size():
 
 def test_it_learns_to_go_faster():
     """A car that is driven by two numbers alone makes more of its way in a second when it speeds up."""
-    plan = replace(PLAN, generations=15, pairs=64, step=[0.3, 0.3], perturbation=[0.3, 0.3], episode=20)
+    plan = replace(PLAN, generations=15, pairs=64, step=[0.3, 0.3], perturbation=[0.3, 0.3], episode=20, price=0.0)
     found = search(plan, "track=oval")
     for layer in found.linear:
         layer.weight.zero_()
@@ -134,21 +134,34 @@ def test_the_boundary_has_a_price():
 
 
 def test_what_the_price_is_of():
-    """Standing 0.02 m inside a reserve of 0.05 m for 20 steps of 0.05 s costs 100 · 0.03 · 1 m."""
+    """Driving 0.02 m inside the boundary, 0.03 m closer than the reserve, costs 100 · 0.03 a second.
+
+    A car that has crashed makes nothing any more and pays for 0.25 m: a crash saves nobody the price.
+    """
     one = search(replace(PLAN, price=100.0, reserve=0.05), "track=oval")
-    steps = SimpleNamespace(
-        terminated=torch.zeros(64, dtype=torch.bool),
-        progress=torch.full((64,), 0.3),
-        margin=torch.full((64,), 0.02),
-        observation=one.race.observe(),
+    crashed = torch.arange(64) < 32
+    steps = iter(
+        SimpleNamespace(
+            terminated=crashed & (number == 10),
+            progress=torch.full((64,), 0.3),
+            margin=torch.full((64,), 0.02),
+            observation=one.race.observe(),
+        )
+        for number in range(PLAN.horizon)
     )
-    stub = SimpleNamespace(
-        count=64, device=one.race.device, observe=one.race.observe, timing=one.race.timing, step=lambda action: steps
+    dt = one.race.timing.dt
+    one.race = SimpleNamespace(
+        count=64,
+        device=one.race.device,
+        observe=one.race.observe,
+        timing=one.race.timing,
+        step=lambda action: next(steps),
     )
-    one.race = stub
     normal = [one._normal(layer, scale) for layer, scale in zip(one.linear, one._scales(), strict=True)]
     fitness = one._fitness(normal, [torch.zeros(())] * 2)
-    assert fitness.tolist() == pytest.approx([20 * 0.3 - 100 * 0.03 * 20 * one.lead.timing.dt] * 64)
+    drives, lies = 0.3 - 100 * 0.03 * dt, -100 * 0.25 * dt
+    assert fitness[32:].tolist() == pytest.approx([20 * drives] * 32)
+    assert fitness[:32].tolist() == pytest.approx([10 * drives + 10 * lies] * 32)
 
 
 def test_a_start_that_ends_in_a_crash_is_tried_again():
