@@ -267,17 +267,16 @@ class Search:
     def _fitness(self, normal: Sequence[tuple[Tensor, Tensor]], sizes: Sequence[Tensor]) -> Tensor:
         """Return what all cars make (2 P,) in m: progress until they crash, less the price of the boundary."""
         race, settings = self.race, self.settings
-        driving = torch.ones(race.count, dtype=torch.bool, device=race.device)
+        self.crashed = torch.zeros(race.count, dtype=torch.bool, device=race.device)
         fitness = torch.zeros(race.count, device=race.device)
         observation = race.observe()
         for _ in range(settings.horizon):
             step = race.step(self._perturbed(observation, normal, sizes))
-            driving &= ~step.terminated
-            margin = step.margin.masked_fill(~driving, -CRASH_DISTANCE)
+            self.crashed |= step.terminated
+            margin = step.margin.masked_fill(self.crashed, -CRASH_DISTANCE)
             close = (settings.reserve - margin).clamp(min=0.0)
-            fitness += step.progress.masked_fill(~driving, 0.0) - settings.price * race.timing.dt * close
+            fitness += step.progress.masked_fill(self.crashed, 0.0) - settings.price * race.timing.dt * close
             observation = step.observation
-        self.crashed = ~driving
         return fitness
 
     def _perturbed(self, x: Tensor, normal: Sequence[tuple[Tensor, Tensor]], sizes: Sequence[Tensor]) -> Tensor:
