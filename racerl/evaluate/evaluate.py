@@ -158,7 +158,7 @@ def learned(settings: Mapping[str, Any]) -> str:
     if name == "trained":
         before = str(algorithm.get("learned"))
         return before.removesuffix(ONWARD) + ONWARD if refined else before
-    by = "PPO" if name == "ppo" else name
+    by = ("PPO" if name == "ppo" else name) + (" drifting first" if algorithm.get("drift") else "")
     return by + (" with a privileged critic" if algorithm.get("privileged") else "") + (" refined" if refined else "")
 
 

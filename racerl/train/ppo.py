@@ -23,6 +23,7 @@ from racerl.env.adapters.sb3 import RaceVecEnv
 from racerl.env.race import Race
 from racerl.env.races import Races
 from racerl.registry import construct
+from racerl.train.drift import Drift
 from racerl.train.normaliser import Normaliser, moments
 from racerl.train.products import fast_products
 from racerl.train.rollout import Minibatch, Rollout
@@ -128,13 +129,17 @@ def hyperparameters(budget: Budget) -> dict[str, Any]:
 class RacePPO(PPO):
     """PPO whose rollouts stay tensors from the simulator to the update.
 
-    With `privileged` the critic is told each car's drawn parameters, which the policy has to do without.
+    With `privileged` the critic is told each car's drawn parameters, which the policy has to do without; with `drift`
+    cars are paid for side slip at first.
     """
 
-    def __init__(self, race: Race | Races, budget: Budget, seed: int, privileged: bool = False) -> None:
+    def __init__(
+        self, race: Race | Races, budget: Budget, seed: int, privileged: bool = False, drift: Drift | None = None
+    ) -> None:
         self.race = race
         self.budget = budget
         self.privileged = privileged
+        self.drift = drift
         self.shuffle = torch.Generator().manual_seed(seed)
         super().__init__(
             env=RaceVecEnv(race),
@@ -184,6 +189,8 @@ class RacePPO(PPO):
                 step = self.race.step(action)
                 rollout.observations[t], rollout.actions[t], rollout.privileged[t] = observation, action, privileged
                 rollout.rewards[t] = step.reward
+                if self.drift is not None:
+                    rollout.rewards[t] += self.drift.pay(self.race, step, self.num_timesteps / self.budget.steps)
                 rollout.cut_off[t] = self._time_out_value(step.truncated, step.final_observation, privileged)
                 rollout.ended[t] = step.terminated | step.truncated
                 observation, privileged = step.observation, self._privileged()

@@ -2,7 +2,7 @@
 
 import copy
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -12,7 +12,9 @@ from stable_baselines3.common.callbacks import BaseCallback
 from racerl import bounds
 from racerl.control.policy import Policy
 from racerl.errors import Diverged
+from racerl.registry import construct
 from racerl.train.checkpoint import FILE, counters, keep, put_into, recover, tensors_of
+from racerl.train.drift import Drift
 from racerl.train.ppo import Budget, RacePPO
 from racerl.train.session import Progress, Session, policy_of, require_finite_weights
 
@@ -22,16 +24,20 @@ class Ppo:
     """PPO; its numbers stand in the budget."""
 
     privileged: bool = False  # the critic is told what is drawn of each car
+    drift: Mapping[str, Any] | None = None  # what it is paid for side slip at first
 
     def __post_init__(self) -> None:
         bounds.switch("algo.privileged", self.privileged)
+        if self.drift is not None:
+            construct(Drift, self.drift, "algo.drift")
 
     def train(self, session: Session) -> dict[str, Any]:
         """Train for `budget.steps` control steps."""
         budget = Budget.of(session.settings["budget"])
         race = session.build_races(budget.cars)
+        drift = None if self.drift is None else construct(Drift, self.drift, "algo.drift")
         session.start()
-        model = RacePPO(race, budget, session.seed, self.privileged)
+        model = RacePPO(race, budget, session.seed, self.privileged, drift)
         model.set_logger(session.logger)
         trainer = Trainer(session)
         try:

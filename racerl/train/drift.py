@@ -1,0 +1,50 @@
+"""What a policy is paid for drifting while it learns: bonus · min(|β|, most) Δt beside its progress, fading to none.
+
+β is the car's side slip. A car may have two ways round a bend, one with little slip and a faster one with much, and no
+gain in between: progress alone then teaches the one that it comes upon first. A policy that learned to drift keeps what
+is faster of it once nothing but progress counts.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from racerl import bounds
+from racerl.env.race import V_X, V_Y, Race, Step
+from racerl.env.races import Races
+from racerl.errors import ConfigError
+
+SLOWEST = 0.3  # m/s, as which any car counts, so that one that stands does not drift
+
+
+@dataclass(frozen=True)
+class Drift:
+    """How much drifting is worth; `conf/algo/ppo_drift.yaml` says what each number is."""
+
+    bonus: float
+    most: float
+    fades: Sequence[float]
+
+    def __post_init__(self) -> None:
+        bounds.number("algo.drift.bonus", self.bonus, 0.0, 1e3)
+        bounds.number("algo.drift.most", self.most, 0.0, 1.5)
+        shares = self.fades
+        if isinstance(shares, str) or not isinstance(shares, Sequence) or len(shares) != 2:
+            raise ConfigError(f"algo.drift.fades = {shares}: two shares of the training are expected, as [0.2,0.6]")
+        for share in shares:
+            bounds.number("algo.drift.fades", share, 0.0, 1.0)
+        if shares[0] >= shares[1]:
+            raise ConfigError(f"algo.drift.fades = {list(shares)}: the first is to be less than the second")
+
+    def worth(self, done: float) -> float:
+        """Return the bonus in m of progress per rad s after so great a share of the training."""
+        begins, ends = self.fades
+        return self.bonus * min(1.0, max(0.0, (ends - done) / (ends - begins)))
+
+    def pay(self, race: Race | Races, step: Step, done: float) -> Tensor:
+        """Return what the cars (N,) get for their slip after a step, in m; those that start over get nothing."""
+        slip = torch.atan2(race.state[V_Y].abs(), race.state[V_X].clamp(min=SLOWEST)).clamp(max=self.most)
+        paid: Tensor = self.worth(done) * race.timing.dt * slip
+        return paid.masked_fill(step.terminated | step.truncated, 0.0)
