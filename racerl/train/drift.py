@@ -1,8 +1,8 @@
-"""What a policy is paid for drifting while it learns: bonus · min(|β|, most) Δt beside its progress, fading to none.
+"""What a policy is paid for drifting while it learns: bonus · w(|β|) Δt beside its progress, fading to none.
 
-β is the car's side slip. A car may have two ways round a bend, one with little slip and a faster one with much, and no
-gain in between: progress alone then teaches the one that it comes upon first. A policy that learned to drift keeps what
-is faster of it once nothing but progress counts.
+β is the car's side slip; w = max(0, best − ||β| − best|) rises to the best slip and falls beyond it. A car may have two
+ways round a bend, one with little slip and a faster one with much, and no gain in between: progress alone then teaches
+the one that it comes upon first. A policy that learned to drift keeps what is faster of it once only progress counts.
 """
 
 from collections.abc import Sequence
@@ -24,12 +24,12 @@ class Drift:
     """How much drifting is worth; `conf/algo/ppo_drift.yaml` says what each number is."""
 
     bonus: float
-    most: float
+    best: float
     fades: Sequence[float]
 
     def __post_init__(self) -> None:
         bounds.number("algo.drift.bonus", self.bonus, 0.0, 1e3)
-        bounds.number("algo.drift.most", self.most, 0.0, 1.5)
+        bounds.number("algo.drift.best", self.best, 0.0, 1.5)
         shares = self.fades
         if isinstance(shares, str) or not isinstance(shares, Sequence) or len(shares) != 2:
             raise ConfigError(f"algo.drift.fades = {shares}: two shares of the training are expected, as [0.2,0.6]")
@@ -45,6 +45,7 @@ class Drift:
 
     def pay(self, race: Race | Races, step: Step, done: float) -> Tensor:
         """Return what the cars (N,) get for their slip after a step, in m; those that start over get nothing."""
-        slip = torch.atan2(race.state[V_Y].abs(), race.state[V_X].clamp(min=SLOWEST)).clamp(max=self.most)
-        paid: Tensor = self.worth(done) * race.timing.dt * slip
+        slip = torch.atan2(race.state[V_Y].abs(), race.state[V_X].clamp(min=SLOWEST))
+        weight = (self.best - (slip - self.best).abs()).clamp(min=0.0)
+        paid: Tensor = self.worth(done) * race.timing.dt * weight
         return paid.masked_fill(step.terminated | step.truncated, 0.0)

@@ -16,7 +16,7 @@ from racerl.train.ppo import Budget, RacePPO
 from tests.env.test_race import make
 from tests.train.test_ppo import SMALL
 
-DRIFT = Drift(bonus=5.0, most=0.7, fades=[0.2, 0.6])
+DRIFT = Drift(bonus=5.0, best=0.7, fades=[0.2, 0.6])
 
 
 def after_a_step(race, speeds):
@@ -28,12 +28,14 @@ def after_a_step(race, speeds):
     return step
 
 
-def test_a_step_pays_the_slip_to_either_side_up_to_the_most_and_nothing_to_a_car_that_stands():
-    race = make(cars=5)
-    step = after_a_step(race, [(3.0, 1.5), (3.0, -1.5), (1.0, 5.0), (4.0, 0.0), (0.0, 0.0)])
-    slip = math.atan(0.5)
-    assert DRIFT.pay(race, step, 0.0).tolist() == pytest.approx([0.25 * slip, 0.25 * slip, 0.25 * 0.7, 0, 0], abs=1e-6)
-    assert DRIFT.pay(race, step, 0.4).tolist() == pytest.approx([0.125 * slip] * 2 + [0.125 * 0.7, 0, 0], abs=1e-6)
+def test_a_step_pays_the_slip_to_either_side_less_beyond_the_best_and_nothing_to_a_car_that_stands():
+    race = make(cars=6)
+    step = after_a_step(race, [(3.0, 1.5), (3.0, -1.5), (3.0, 3.0), (0.0, 5.0), (4.0, 0.0), (0.0, 0.0)])
+    slip, beyond = math.atan(0.5), 1.4 - math.pi / 4
+    assert DRIFT.pay(race, step, 0.0).tolist() == pytest.approx([0.25 * slip] * 2 + [0.25 * beyond, 0, 0, 0], abs=1e-6)
+    assert DRIFT.pay(race, step, 0.4).tolist() == pytest.approx(
+        [0.125 * slip] * 2 + [0.125 * beyond, 0, 0, 0], abs=1e-6
+    )
 
 
 def test_a_car_that_starts_over_is_paid_nothing():
