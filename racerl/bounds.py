@@ -1,5 +1,6 @@
 """Numbers that a user may give: one message for whatever is of the wrong kind or out of range."""
 
+from collections.abc import Sequence
 from typing import Any
 
 from racerl.errors import ConfigError
@@ -24,6 +25,13 @@ def wholes(name: str, value: Any, low: int, high: int) -> list[int]:
     if not isinstance(value, list):
         raise ConfigError(f"{name} = {value}: a list of whole numbers is expected")
     return [whole(name, each, low, high) for each in value]
+
+
+def pair(name: str, value: Any, low: float, high: float, expected: str) -> tuple[float, float]:
+    """Return two numbers of `low` … `high`; raise ConfigError for anything else, which says what is `expected`."""
+    if isinstance(value, str) or not isinstance(value, Sequence) or len(value) != 2:
+        raise ConfigError(f"{name} = {value}: {expected}")
+    return number(name, value[0], low, high), number(name, value[1], low, high)
 
 
 def switch(name: str, value: Any) -> bool:

@@ -30,13 +30,10 @@ class Drift:
     def __post_init__(self) -> None:
         bounds.number("algo.drift.bonus", self.bonus, 0.0, 1e3)
         bounds.number("algo.drift.best", self.best, 0.0, 1.5)
-        shares = self.fades
-        if isinstance(shares, str) or not isinstance(shares, Sequence) or len(shares) != 2:
-            raise ConfigError(f"algo.drift.fades = {shares}: two shares of the training are expected, as [0.2,0.6]")
-        for share in shares:
-            bounds.number("algo.drift.fades", share, 0.0, 1.0)
-        if shares[0] >= shares[1]:
-            raise ConfigError(f"algo.drift.fades = {list(shares)}: the first is to be less than the second")
+        expected = "two shares of the training are expected, as [0.2,0.6]"
+        begins, ends = bounds.pair("algo.drift.fades", self.fades, 0.0, 1.0, expected)
+        if begins >= ends:
+            raise ConfigError(f"algo.drift.fades = {list(self.fades)}: the first is to be less than the second")
 
     def worth(self, done: float) -> float:
         """Return the bonus in m of progress per rad s after so great a share of the training."""

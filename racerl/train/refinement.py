@@ -30,7 +30,6 @@ from racerl.control.policy import SLOPE, Policy
 from racerl.env.race import Race
 from racerl.env.races import Races
 from racerl.env.termination import CRASH_DISTANCE, Crash
-from racerl.errors import ConfigError
 from racerl.train import checkpoint
 from racerl.train.checkpoint import section
 from racerl.train.session import Progress, Session, pace, require_finite_weights
@@ -60,14 +59,9 @@ class Refinement:
     def __post_init__(self) -> None:
         for name in ("generations", "evaluations", "pairs", "horizon", "between", "episode"):
             bounds.whole(f"budget.refinement.{name}", getattr(self, name), 1, 10**6)
-        for name, largest in (("perturbation", 1.0), ("step", 1.0)):
-            pair = getattr(self, name)
-            if isinstance(pair, str) or not isinstance(pair, Sequence) or len(pair) != 2:
-                raise ConfigError(
-                    f"budget.refinement.{name} = {pair}: two numbers are expected, the first and the last"
-                )
-            for number in pair:
-                bounds.number(f"budget.refinement.{name}", number, 1e-9, largest)
+        for name in ("perturbation", "step"):
+            expected = "two numbers are expected, the first and the last"
+            bounds.pair(f"budget.refinement.{name}", getattr(self, name), 1e-9, 1.0, expected)
         bounds.number("budget.refinement.most", self.most, 1.0, 1e6)
         bounds.number("budget.refinement.price", self.price, 0.0, 1e6)
         bounds.number("budget.refinement.reserve", self.reserve, 0.0, 1.0)

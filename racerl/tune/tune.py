@@ -85,9 +85,8 @@ def _ranges(controller: Mapping[str, Any], search: Mapping[str, Any] | None) -> 
         if not isinstance(controller.get(name), float):
             numbers = [key for key, value in controller.items() if isinstance(value, float)]
             raise ConfigError(f"search.{name}: the controller has no such number{suggest(name, numbers)}")
-        if not isinstance(pair, (list, tuple)) or len(pair) != 2:
-            raise ConfigError(f"search.{name} = {pair}: two numbers are expected, [least, greatest]")
-        low, high = (bounds.number(f"search.{name}", each, 1e-9, 1e9) for each in pair)
+        expected = "two numbers are expected, [least, greatest]"
+        low, high = bounds.pair(f"search.{name}", pair, 1e-9, 1e9, expected)
         if not low < high or not low <= controller[name] <= high:
             raise ConfigError(f"search.{name} = {pair}: least < greatest around {controller[name]:g} is expected")
         for end in (low, high):

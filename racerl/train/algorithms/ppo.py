@@ -28,16 +28,14 @@ class Ppo:
 
     def __post_init__(self) -> None:
         bounds.switch("algo.privileged", self.privileged)
-        if self.drift is not None:
-            construct(Drift, self.drift, "algo.drift")
+        self._drift()  # refuses wrong numbers before anything is trained
 
     def train(self, session: Session) -> dict[str, Any]:
         """Train for `budget.steps` control steps."""
         budget = Budget.of(session.settings["budget"])
         race = session.build_races(budget.cars)
-        drift = None if self.drift is None else construct(Drift, self.drift, "algo.drift")
         session.start()
-        model = RacePPO(race, budget, session.seed, self.privileged, drift)
+        model = RacePPO(race, budget, session.seed, self.privileged, self._drift())
         model.set_logger(session.logger)
         trainer = Trainer(session)
         try:
@@ -49,6 +47,9 @@ class Ppo:
             raise
         trainer.examine()
         return {"steps": model.num_timesteps, "nan_cars": race.faults}
+
+    def _drift(self) -> Drift | None:
+        return None if self.drift is None else construct(Drift, self.drift, "algo.drift")
 
 
 class Trainer(BaseCallback):
