@@ -32,7 +32,7 @@ from racerl.env.races import Races
 from racerl.env.termination import CRASH_DISTANCE, Crash
 from racerl.train import checkpoint
 from racerl.train.checkpoint import section
-from racerl.train.session import Progress, Session, pace, require_finite_weights
+from racerl.train.session import Progress, Session, require_finite_weights
 
 FILE = "refinement.safetensors"
 FAINTEST = 1e-3  # root mean square of a layer's input, as which any counts at least
@@ -113,7 +113,7 @@ def refine(session: Session, settings: Refinement, policy: Policy, before: int, 
             steps = before + number * settings.steps
             require_finite_weights({"policy": policy.network.parameters()}, steps, "lower budget.refinement.step")
             if settings.examines(number):
-                session.examine(policy, steps, key=pace)
+                session.examine(policy, steps)
                 if clean is None and _clean(session.last):
                     clean = session.seconds - began
             session.logger.dump(steps)

@@ -37,7 +37,6 @@ EVALUATION_FEWEST = 4  # cars on each of several tracks
 EVALUATION_SEED = 1_000_003
 CLEAN = 0.9  # share of the laps that stay on the track, before pace counts
 TOLERATED = 0.0005  # m s of E_off per lap that a faster policy may have: a quarter of what the paper's has on its car
-Key = Callable[[Mapping[str, Any]], tuple[float, ...]]
 
 
 @dataclass(frozen=True)
@@ -105,12 +104,7 @@ class Examiner:
         return score(laps)
 
 
-def rank(result: Mapping[str, Any]) -> tuple[float, float, float]:
-    """Return a key that is smaller for a better result: fewer crashes, more valid laps, then faster ones, settled."""
-    return result["crash_share"], -result["valid_laps"], result["settled_lap_s"] or math.inf
-
-
-def pace(result: Mapping[str, Any]) -> tuple[float, bool, bool, float]:
+def rank(result: Mapping[str, Any]) -> tuple[float, bool, bool, float]:
     """Return a key that is smaller for a better result: fewer crashes, hardly off the track, then faster laps."""
     unclean = result["valid_laps"] < CLEAN * result["laps"]
     return result["crash_share"], unclean, result["e_off"] > TOLERATED, result["settled_lap_s"] or math.inf
@@ -223,14 +217,14 @@ class Session:
         """Training time in s, earlier sessions included, evaluations too."""
         return self.earlier_seconds + time.perf_counter() - self._began
 
-    def examine(self, policy: Policy, steps: int, *, improving: bool = False, key: Key = rank) -> None:
-        """Evaluate a policy and keep it when it is the best so far by `key`, or anyhow where they are `improving`."""
+    def examine(self, policy: Policy, steps: int, *, improving: bool = False) -> None:
+        """Evaluate a policy and keep it when it is the best so far by `rank`, or anyhow where they are `improving`."""
         self.last = {**self.examiner.examine(policy), "steps": steps}
         self.logger.record("time/seconds", self.seconds)
         for name, value in self.last.items():
             if isinstance(value, (int, float)):
                 self.logger.record(f"evaluation/{name}", value)
-        if improving or self.best is None or key(self.last) <= key(self.best):
+        if improving or self.best is None or rank(self.last) <= rank(self.best):
             self.best = self.last
             save_policy(policy, self.folder.path, evaluation=self.best)
 
