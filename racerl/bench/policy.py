@@ -15,7 +15,7 @@ from racerl.assemble import build_race, use_threads
 from racerl.bench import Compose, Progress
 from racerl.control.onboard import OnboardPolicy
 from racerl.errors import ConfigError
-from racerl.train.ppo import Budget, RacePPO
+from racerl.train.ppo import Budget, RacePPO, actor_of
 from racerl.train.session import policy_of
 
 BLOCK = 100  # calls of one kind before the next kind's turn
@@ -46,7 +46,7 @@ class Policy:
         race = build_race(settings, cars=1, seeds=[0])
         budget = Budget.of({**settings["budget"], "cars": 1})
         model = RacePPO(race, budget, seed=0)
-        policy = policy_of(model.actor(), race, settings)
+        policy = policy_of(actor_of(model), race, settings)
         onboard = OnboardPolicy(policy)
         observation = race.observe()
         single = observation[0].numpy()

@@ -7,7 +7,7 @@ action that the network was trained with.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
 from safetensors import SafetensorError
@@ -18,6 +18,7 @@ from racerl.documents import read_bytes, read_json, write_bytes, write_json
 from racerl.errors import DocumentError, PolicyError
 
 if TYPE_CHECKING:
+    from racerl.control.recurrent import RecurrentPolicy
     from racerl.env.race import Race
 
 FORMAT = 1
@@ -26,6 +27,7 @@ UNREFINED = "unrefined"  # folder, in a training's, of its policy as it was befo
 MAX_WEIGHTS_BYTES = 256 * 1024 * 1024
 MAX_LAYERS, MAX_UNITS = 16, 65536
 SLOPE = 0.2  # of the LeakyReLU
+RECURRENT = "recurrent"  # key of the facts of a policy that remembers
 
 
 def build_network(sizes: list[int]) -> nn.Sequential:
@@ -44,6 +46,7 @@ class Policy:
     observation: Mapping[str, Any]  # settings of the observation it reads
     action: Mapping[str, Any]  # settings of the action it gives
     name: str = "policy"
+    recurrent: ClassVar[bool] = False
 
     @torch.no_grad()
     def __call__(self, observation: Tensor) -> Tensor:
@@ -62,8 +65,8 @@ class Policy:
         return [linear[0].in_features, *(layer.out_features for layer in linear)]
 
 
-def save_policy(policy: Policy, folder: Path, **facts: Any) -> None:
-    """Write the policy into a folder, atomically, weights first."""
+def save_policy(policy: "Policy | RecurrentPolicy", folder: Path, **facts: Any) -> None:
+    """Write a policy into a folder, atomically, weights first."""
     weights = {name: tensor.detach().cpu().contiguous() for name, tensor in policy.network.state_dict().items()}
     write_bytes(folder / WEIGHTS, save(weights))
     write_json(
@@ -73,20 +76,45 @@ def save_policy(policy: Policy, folder: Path, **facts: Any) -> None:
             "observation": dict(policy.observation),
             "action": dict(policy.action),
             "layers": policy.sizes,
+            **({RECURRENT: True} if policy.recurrent else {}),
             **facts,
         },
     )
 
 
 def load_policy(folder: Path, device: torch.device | str = "cpu") -> Policy:
-    """Read a policy; raise PolicyError when a file is missing, damaged, of another version or not finite."""
+    """Read a policy; raise PolicyError when a file is missing, damaged, of another version or not finite.
+
+    Raises PolicyError for a recurrent one, too, which is more than a feedforward network.
+    """
+    facts = read_facts(folder)
+    if facts.get(RECURRENT):
+        raise PolicyError(
+            f"{folder}: the policy is recurrent, this takes feedforward ones; train with obs=history, whose memory is "
+            "in what it sees, instead of algo=ppo_recurrent"
+        )
+    network = build_network(facts["layers"]).to(device)
+    fill(network, folder)
+    return Policy(network, facts["observation"], facts["action"])
+
+
+def read_facts(folder: Path) -> dict[str, Any]:
+    """Return what a policy's JSON says of it; raise PolicyError where that cannot be."""
     try:
-        facts = read_json(folder / FACTS)
+        facts: dict[str, Any] = read_json(folder / FACTS)
     except DocumentError as error:
         raise PolicyError(str(error)) from error
     if facts.get("format") != FORMAT:
         raise PolicyError(f"{folder / FACTS}: format {facts.get('format')!r}, this racerl reads {FORMAT}; train again")
-    network = build_network(_sizes(facts, folder)).to(device)
+    _require_sizes(facts, folder)
+    for key in ("observation", "action"):
+        if not isinstance(facts.get(key), dict):
+            raise PolicyError(f"{folder / FACTS}: has no '{key}'; train again")
+    return facts
+
+
+def fill(network: nn.Module, folder: Path) -> None:
+    """Give a network the weights of a folder; raise PolicyError where they do not fit or are not finite."""
     try:
         network.load_state_dict(_read_weights(folder / WEIGHTS))
     except RuntimeError as error:
@@ -95,20 +123,17 @@ def load_policy(folder: Path, device: torch.device | str = "cpu") -> Policy:
         ) from error
     if not all(bool(torch.isfinite(tensor).all()) for tensor in network.state_dict().values()):
         raise PolicyError(f"{folder / WEIGHTS}: holds NaN or infinite weights; train again")
-    for key in ("observation", "action"):
-        if not isinstance(facts.get(key), dict):
-            raise PolicyError(f"{folder / FACTS}: has no '{key}'; train again")
-    return Policy(network.requires_grad_(False), facts["observation"], facts["action"])
+    network.requires_grad_(False)
 
 
-def _sizes(facts: Mapping[str, Any], folder: Path) -> list[int]:
+def _require_sizes(facts: Mapping[str, Any], folder: Path) -> None:
     sizes = facts.get("layers")
     whole = isinstance(sizes, list) and all(type(n) is int and 0 < n <= MAX_UNITS for n in sizes)
-    if not whole or not 2 <= len(sizes or []) <= MAX_LAYERS:
+    least, most = (3, 3) if facts.get(RECURRENT) else (2, MAX_LAYERS)
+    if not whole or not least <= len(sizes or []) <= most:
         raise PolicyError(
-            f"{folder / FACTS}: layers = {sizes!r}; a list of 2 … {MAX_LAYERS} positive sizes was expected"
+            f"{folder / FACTS}: layers = {sizes!r}; a list of {least} … {most} positive sizes was expected"
         )
-    return list(sizes or [])
 
 
 def _read_weights(path: Path) -> dict[str, Tensor]:

@@ -11,7 +11,8 @@ import torch
 
 from racerl import bounds
 from racerl.assemble import Car, build_race, check_settings, choose_device, unlimited, use_threads
-from racerl.control.policy import FACTS, UNREFINED, load_policy
+from racerl.control.policy import FACTS, UNREFINED
+from racerl.control.recurrent import load_driver
 from racerl.documents import read_json
 from racerl.env.race import Race
 from racerl.env.randomize import Randomization
@@ -44,7 +45,7 @@ def evaluate(
     car = construct(Car, settings["car"], "car")
     race_settings = combine(origin.settings, settings, car)
     device = choose_device(settings["device"])
-    policy = load_policy(run, device)
+    policy = load_driver(run, device)
     # the policy knows what it sees and does, in which scale
     race_settings |= {"obs": policy.observation, "action": policy.action}
     race = build_evaluation_race(race_settings, seeds, device, car.estimate)
@@ -159,6 +160,7 @@ def learned(settings: Mapping[str, Any]) -> str:
         before = str(algorithm.get("learned"))
         return before.removesuffix(ONWARD) + ONWARD if refined else before
     by = ("PPO" if name == "ppo" else name) + (" drifting first" if algorithm.get("drift") else "")
+    by = ("recurrent " if algorithm.get("recurrent") else "") + by
     return by + (" with a privileged critic" if algorithm.get("privileged") else "") + (" refined" if refined else "")
 
 

@@ -83,6 +83,7 @@ def tensors_of(model: RacePPO) -> Tensors:
     tensors |= {f"race.{name}": tensor for name, tensor in model.race.snapshot().items()}
     tensors |= {f"optimizer.{name}": tensor for name, tensor in optimizer_tensors(model.policy.optimizer).items()}
     tensors |= {f"normaliser.{name}": tensor for name, tensor in vars(model.normaliser).items()}
+    tensors |= {f"carried.{name}": tensor for name, tensor in model.carried.items()}
     tensors["random.shuffle"], tensors["random.torch"] = model.shuffle.get_state(), torch.get_rng_state()
     if model.device.type == "cuda":
         tensors["random.cuda"] = torch.cuda.get_rng_state(model.device)
@@ -96,6 +97,7 @@ def put_into(model: RacePPO, tensors: Tensors, state: State) -> None:
     model.race.restore(section(tensors, "race."))
     for name in vars(model.normaliser):
         setattr(model.normaliser, name, tensors[f"normaliser.{name}"].to(model.device))
+    model.carried = section(tensors, "carried.")
     for name in COUNTERS:
         setattr(model, name, state["counters"][name])
     model.race.faults = state["counters"]["faults"]

@@ -6,8 +6,9 @@ the laptop budget fast: observations normalised by their running moments, a lear
 KL divergence of its updates while the critic keeps learning, and action noise that falls on a schedule.
 """
 
+import copy
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -19,6 +20,8 @@ from stable_baselines3.common.vec_env import VecEnv
 from torch import Tensor, nn
 
 from racerl import bounds
+from racerl.control.policy import Policy
+from racerl.control.recurrent import RecurrentPolicy
 from racerl.env.adapters.sb3 import RaceVecEnv
 from racerl.env.race import Race
 from racerl.env.races import Races
@@ -26,7 +29,8 @@ from racerl.registry import construct
 from racerl.train.drift import Drift
 from racerl.train.normaliser import Normaliser, moments
 from racerl.train.products import fast_products
-from racerl.train.rollout import Minibatch, Rollout
+from racerl.train.rollout import Rollout
+from racerl.train.session import policy_of
 
 # greatest of the whole numbers of a budget, and least and greatest of the others
 WHOLE = {"steps": 10**12, "evaluations": 10**6, "cars": 10**6, "rollout": 10**6, "epochs": 10**4, "batch": 10**9}
@@ -154,7 +158,7 @@ class RacePPO(PPO):
         self.rollout = Rollout(budget.rollout, race.count, race.observation.size, 2, race.device, more)
         self.rate_factor = 1.0  # of the actor's scheduled learning rate, when it follows the KL divergence
         self.normaliser = Normaliser(race.observation.size, race.device)
-        self._mean = actor_of(self)
+        self._mean = self._build_actor()
         if more:
             layers = self.policy.mlp_extractor.value_net
             first = cast(nn.Linear, layers[0])
@@ -169,9 +173,30 @@ class RacePPO(PPO):
     def _maybe_recommend_cpu(self, mlp_class_name: str = "") -> None:
         """Say nothing: with the simulator on the GPU too, small networks are as much at home there."""
 
-    def actor(self) -> nn.Sequential:
+    @property
+    def carried(self) -> dict[str, Tensor]:
+        """What the next rollout depends on beside weights, moments and race, by name."""
+        return {}
+
+    @carried.setter
+    def carried(self, tensors: dict[str, Tensor]) -> None:
+        """Nothing is carried."""
+
+    def _build_actor(self) -> nn.Module:
+        return actor_of(self)
+
+    def actor(self) -> nn.Module:
         """Return the network of the mean action for observations as the race gives them."""
-        return self.normaliser.fold(self._mean) if self.budget.normalise else self._mean
+        network = cast(nn.Sequential, self._mean)
+        return self.normaliser.fold(network) if self.budget.normalise else network
+
+    def as_policy(self, settings: Mapping[str, Any]) -> Policy | RecurrentPolicy:
+        """Return a copy of the actor as a policy for the race it learns in."""
+        return policy_of(cast(nn.Sequential, copy.deepcopy(self.actor())), self.race, settings)
+
+    def _driver(self) -> Callable[[Tensor], Tensor]:
+        """Return what gives the mean actions of one rollout, step by step."""
+        return self.actor()
 
     def collect_rollouts(
         self, env: VecEnv, callback: BaseCallback, rollout_buffer: RolloutBuffer, n_rollout_steps: int
@@ -180,12 +205,12 @@ class RacePPO(PPO):
         callback.on_rollout_start()
         self.policy.set_training_mode(False)
         self._set_noise()
-        observation, rollout, actor = self.race.observe(), self.rollout, self.actor()
+        observation, rollout, drive = self.race.observe(), self.rollout, self._driver()
         privileged = self._privileged()
         with torch.no_grad():
             noise = self.policy.log_std.exp() * torch.randn_like(rollout.actions)
             for t in range(n_rollout_steps):
-                action = actor(observation) + noise[t]
+                action = drive(observation) + noise[t]
                 step = self.race.step(action)
                 rollout.observations[t], rollout.actions[t], rollout.privileged[t] = observation, action, privileged
                 rollout.rewards[t] = step.reward
@@ -207,14 +232,21 @@ class RacePPO(PPO):
     def _judge(self) -> None:
         """Fill in values and action densities of a rollout whose observations are as the networks see them."""
         rollout = self.rollout
-        parts = max(1, JUDGED_AT_ONCE // rollout.cars)
-        tables = (rollout.observations, rollout.privileged, rollout.actions, rollout.values, rollout.log_probs)
         with fast_products(self.device, self.budget.bf16):
-            for seen, privileged, actions, values, log_probs in zip(
-                *(table.split(parts) for table in tables), strict=True
-            ):
+            for seen, privileged, values in self._in_parts(rollout.observations, rollout.privileged, rollout.values):
                 values.copy_(self._judged(seen, privileged))
-                log_probs.copy_(self._log_prob(self._mean(seen), actions))
+            self._judge_actions()
+
+    def _judge_actions(self) -> None:
+        """Fill in the action densities of a rollout."""
+        rollout = self.rollout
+        for seen, actions, log_probs in self._in_parts(rollout.observations, rollout.actions, rollout.log_probs):
+            log_probs.copy_(self._log_prob(self._mean(seen), actions))
+
+    def _in_parts(self, *tables: Tensor) -> Iterator[tuple[Tensor, ...]]:
+        """Yield some steps of a rollout's tables (T, N, …) after others."""
+        steps = max(1, JUDGED_AT_ONCE // self.rollout.cars)
+        return zip(*(table.split(steps) for table in tables), strict=True)
 
     def _time_out_value(self, truncated: Tensor, final: Tensor, privileged: Tensor) -> Tensor:
         """Return γ·V of the final observation where an episode was cut off, else 0; shape (N,)."""
@@ -264,7 +296,7 @@ class RacePPO(PPO):
         count, resting = 0, False
         with fast_products(self.device, self.budget.bf16):
             for _ in range(self.n_epochs):
-                for batch in self.rollout.minibatches(self.batch_size, self.shuffle):
+                for batch in self._minibatches():
                     measures, resting = self._update(batch, resting)
                     count += 1
                     for name, value in measures.items():
@@ -280,12 +312,21 @@ class RacePPO(PPO):
         self.logger.record("train/learning_rate", scheduled * self.rate_factor)
         self.logger.record("train/reward", float(self.rollout.rewards.mean()))
 
-    def _update(self, batch: Minibatch, resting: bool) -> tuple[dict[str, Tensor], bool]:
+    def _minibatches(self) -> Iterator[Any]:
+        """Yield all samples of the rollout once, in random order."""
+        return self.rollout.minibatches(self.batch_size, self.shuffle)
+
+    def _means(self, batch: Any) -> Tensor:
+        """Return the mean actions of a minibatch."""
+        means: Tensor = self._mean(batch.observations)
+        return means
+
+    def _update(self, batch: Any, resting: bool) -> tuple[dict[str, Tensor], bool]:
         """Take one gradient step, of the critic alone while the actor rests.
 
         Return its measures, as tensors so that nothing waits for them, and whether the actor now rests.
         """
-        log_prob = self._log_prob(self._mean(batch.observations), batch.actions)
+        log_prob = self._log_prob(self._means(batch), batch.actions)
         log_ratio = log_prob - batch.log_probs
         ratio = log_ratio.exp()
         divergence = (ratio - 1 - log_ratio).mean().detach()

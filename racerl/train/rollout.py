@@ -50,17 +50,14 @@ class Rollout:
             self.advantages[t] = advantage
         self.returns = self.advantages + self.values
 
+    @property
+    def tables(self) -> tuple[Tensor, ...]:
+        """What is learned from (T, N, …), in the order of `Minibatch`."""
+        return self.observations, self.actions, self.log_probs, self.advantages, self.returns, self.privileged
+
     def minibatches(self, size: int, generator: torch.Generator) -> Iterator[Minibatch]:
         """Yield all samples once, in random order, in minibatches; a smaller remainder is left out."""
-        tables = (
-            self.observations,
-            self.actions,
-            self.log_probs,
-            self.advantages,
-            self.returns,
-            self.privileged,
-        )
-        flat = [table.flatten(0, 1) for table in tables]
+        flat = [table.flatten(0, 1) for table in self.tables]
         total = self.steps * self.cars
         order = torch.randperm(total, generator=generator, device=generator.device).to(self.rewards.device)
         size = min(size, total)

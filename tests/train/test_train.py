@@ -77,9 +77,10 @@ def test_an_interrupted_run_resumes_bit_for_bit(smoke_run, tmp_path, monkeypatch
     assert steps == {1024, 2048}
 
 
-def test_the_course_of_a_run_pulled_twice_is_that_of_an_undisturbed_one(tmp_path, monkeypatch):
+@pytest.mark.parametrize("kind", [["obs=history", "algo.privileged=true"], ["algo=ppo_recurrent"]])
+def test_the_course_of_a_run_pulled_twice_is_that_of_an_undisturbed_one(tmp_path, monkeypatch, kind):
     words = ["budget.steps=6144", "budget.final_std=0.1", "budget.final_learning_rate=1e-5", "budget.normalise=true"]
-    words += ["obs=history", "algo.privileged=true"]
+    words += kind
     settings = compose_settings("train", [*SMOKE, "dr=friction_0.02", *words])
     train(settings, tmp_path / "whole")
     pull = pull_at(1024, 2048, 4096)

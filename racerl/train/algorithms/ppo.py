@@ -1,6 +1,5 @@
 """Proximal policy optimisation within the budget; an interrupted run continues from its checkpoint, bit for bit."""
 
-import copy
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -11,12 +10,24 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from racerl import bounds
 from racerl.control.policy import Policy
-from racerl.errors import Diverged
+from racerl.control.recurrent import RecurrentPolicy
+from racerl.errors import ConfigError, Diverged
 from racerl.registry import construct
 from racerl.train.checkpoint import FILE, counters, keep, put_into, recover, tensors_of
 from racerl.train.drift import Drift
 from racerl.train.ppo import Budget, RacePPO
-from racerl.train.session import Progress, Session, policy_of, require_finite_weights
+from racerl.train.recurrent_ppo import RecurrentPPO
+from racerl.train.session import Progress, Session, require_finite_weights
+
+
+@dataclass(frozen=True)
+class Memory:
+    """The memory of a recurrent policy."""
+
+    units: int
+
+    def __post_init__(self) -> None:
+        bounds.whole("algo.recurrent.units", self.units, 1, 1024)
 
 
 @dataclass(frozen=True)
@@ -25,17 +36,24 @@ class Ppo:
 
     privileged: bool = False  # the critic is told what is drawn of each car
     drift: Mapping[str, Any] | None = None  # what it is paid for side slip at first
+    recurrent: Mapping[str, Any] | None = None  # the memory of a policy that has one
 
     def __post_init__(self) -> None:
         bounds.switch("algo.privileged", self.privileged)
-        self._drift()  # refuses wrong numbers before anything is trained
+        self._drift(), self._recurrent()  # refuse wrong numbers before anything is trained
 
     def train(self, session: Session) -> dict[str, Any]:
         """Train for `budget.steps` control steps."""
         budget = Budget.of(session.settings["budget"])
+        memory = self._recurrent()
+        if memory and session.settings["budget"].get("refinement") is not None:
+            raise ConfigError(
+                "algo=ppo_recurrent: the refinement takes feedforward policies only; add budget.refinement=null"
+            )
         race = session.build_races(budget.cars)
         session.start()
-        model = RacePPO(race, budget, session.seed, self.privileged, self._drift())
+        build = partial(RecurrentPPO, units=memory.units) if memory else RacePPO
+        model = build(race, budget, session.seed, privileged=self.privileged, drift=self._drift())
         model.set_logger(session.logger)
         trainer = Trainer(session)
         try:
@@ -51,6 +69,9 @@ class Ppo:
     def _drift(self) -> Drift | None:
         return None if self.drift is None else construct(Drift, self.drift, "algo.drift")
 
+    def _recurrent(self) -> Memory | None:
+        return None if self.recurrent is None else construct(Memory, self.recurrent, "algo.recurrent")
+
 
 class Trainer(BaseCallback):
     """Evaluates, writes checkpoints and reports, always at the start of a rollout."""
@@ -62,7 +83,7 @@ class Trainer(BaseCallback):
         self.session = session
         self.examined = 0  # evaluations so far
         self.between: Callable[[], None] = lambda: None
-        self.good: Policy  # after the last update whose weights were finite
+        self.good: Policy | RecurrentPolicy  # after the last update whose weights were finite
         self.good_steps = 0
 
     def _on_training_start(self) -> None:
@@ -80,7 +101,7 @@ class Trainer(BaseCallback):
     def check(self) -> None:
         """Remember the policy as it is if all weights are finite; raise Diverged otherwise."""
         model = self.model
-        policy = policy_of(copy.deepcopy(model.actor()), model.race, self.session.settings)
+        policy = model.as_policy(self.session.settings)
         networks = {"actor": policy.network.parameters(), "critic": model.policy.parameters()}
         require_finite_weights(networks, model.num_timesteps, "lower budget.learning_rate or budget.gradient_norm")
         self.good, self.good_steps = policy, model.num_timesteps

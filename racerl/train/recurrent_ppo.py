@@ -1,0 +1,104 @@
+"""PPO of a policy that remembers: rollouts carry its memory, and gradients go back through them in time.
+
+A minibatch is whole rollouts of some cars, unrolled from the memory that each began with (truncated backpropagation
+through time), and cut where an episode ends. The critic remembers nothing; with `privileged` it need not.
+"""
+
+import copy
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from racerl.control.recurrent import RecurrentNetwork, RecurrentPolicy, forgotten
+from racerl.env.observations import settings_of
+from racerl.env.race import Race
+from racerl.env.races import Races
+from racerl.train.ppo import Budget, RacePPO
+
+
+class Sequences(NamedTuple):
+    """Rollouts of B cars for one gradient step, each (T, B, …); `memory` (B, U) is that at their beginning."""
+
+    observations: Tensor
+    actions: Tensor
+    log_probs: Tensor
+    advantages: Tensor
+    returns: Tensor
+    privileged: Tensor
+    begun: Tensor
+    memory: Tensor
+
+
+class RecurrentPPO(RacePPO):
+    """PPO whose actor has a gated recurrent unit."""
+
+    _mean: RecurrentNetwork
+
+    def __init__(self, race: Race | Races, budget: Budget, seed: int, units: int, **options: Any) -> None:
+        self.units = units
+        super().__init__(race, budget, seed, **options)
+        self.memory = torch.zeros(race.count, units, device=race.device)
+        self._first = self.memory  # at the beginning of the rollout
+        self._begun = torch.zeros(budget.rollout, race.count, dtype=torch.bool, device=race.device)
+
+    @property
+    def carried(self) -> dict[str, Tensor]:
+        """What the next rollout depends on beside the weights and the race."""
+        return {"memory": self.memory}
+
+    @carried.setter
+    def carried(self, tensors: dict[str, Tensor]) -> None:
+        self.memory = tensors["memory"].to(self.device)
+
+    def _build_actor(self) -> RecurrentNetwork:
+        network = RecurrentNetwork(self.race.observation.size, self.units, 2).to(self.race.device)
+        self.policy.init_weights(network.gives[-1], 0.01)  # as Stable-Baselines3 draws the layer of the actions
+        # in the policy, so that its weights are saved and clipped with the critic's; the feedforward actor is gone
+        self.policy.recurrent = network
+        self.policy.mlp_extractor.policy_net, self.policy.action_net = nn.Sequential(), nn.Identity()
+        return network
+
+    def actor(self) -> RecurrentNetwork:
+        """Return a copy of the network of the mean action, for observations as the race gives them."""
+        network = copy.deepcopy(self._mean)
+        if self.budget.normalise:
+            network.reads = self.normaliser.fold(network.reads)
+        return network
+
+    def as_policy(self, settings: Mapping[str, Any]) -> RecurrentPolicy:
+        """Return the actor as it is as a policy for the race it learns in."""
+        return RecurrentPolicy(
+            self.actor(), settings_of(settings["obs"]["name"], self.race.observation), settings["action"]
+        )
+
+    def _driver(self) -> Callable[[Tensor], Tensor]:
+        actor, steps = self.actor(), iter(self._begun)
+        self._first = self.memory
+
+        def drive(observation: Tensor) -> Tensor:
+            begun = next(steps).copy_(self.race.age == 0)
+            mean, self.memory = actor(observation, forgotten(self.memory, begun))
+            return mean
+
+        return drive
+
+    def _judge_actions(self) -> None:
+        rollout = self.rollout
+        means = self._mean.unroll(rollout.observations, self._begun, self._first)
+        rollout.log_probs.copy_(self._log_prob(means, rollout.actions))
+
+    def _minibatches(self) -> Iterator[Sequences]:
+        """Yield the rollouts of all cars once, in random order; a smaller remainder is left out."""
+        rollout = self.rollout
+        order = torch.randperm(rollout.cars, generator=self.shuffle).to(self.device)
+        size = min(max(1, self.batch_size // rollout.steps), rollout.cars)
+        tables = (*rollout.tables, self._begun)
+        for first in range(0, rollout.cars - size + 1, size):
+            chosen = order[first : first + size]
+            own = [table.index_select(1, chosen) for table in tables]
+            yield Sequences._make([*own, self._first.index_select(0, chosen)])
+
+    def _means(self, batch: Sequences) -> Tensor:
+        return self._mean.unroll(batch.observations, batch.begun, batch.memory)
