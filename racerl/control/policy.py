@@ -46,13 +46,17 @@ class Policy:
     observation: Mapping[str, Any]  # settings of the observation it reads
     action: Mapping[str, Any]  # settings of the action it gives
     name: str = "policy"
-    recurrent: ClassVar[bool] = False
+    units: ClassVar[int] = 0  # numbers that it remembers from step to step
 
     @torch.no_grad()
     def __call__(self, observation: Tensor) -> Tensor:
         """Return actions (N, 2) in [−1, 1] for observations (N, O)."""
         action: Tensor = self.network(observation)
         return action.clamp(-1.0, 1.0)
+
+    def decide(self, observation: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
+        """Return actions and a memory (N, 0), as a policy does that has one."""
+        return self(observation), memory
 
     def act(self, race: "Race") -> Tensor:
         """Return the actions for the cars of a race."""
@@ -76,7 +80,7 @@ def save_policy(policy: "Policy | RecurrentPolicy", folder: Path, **facts: Any) 
             "observation": dict(policy.observation),
             "action": dict(policy.action),
             "layers": policy.sizes,
-            **({RECURRENT: True} if policy.recurrent else {}),
+            **({RECURRENT: True} if policy.units else {}),
             **facts,
         },
     )
@@ -90,8 +94,8 @@ def load_policy(folder: Path, device: torch.device | str = "cpu") -> Policy:
     facts = read_facts(folder)
     if facts.get(RECURRENT):
         raise PolicyError(
-            f"{folder}: the policy is recurrent, this takes feedforward ones; train with obs=history, whose memory is "
-            "in what it sees, instead of algo=ppo_recurrent"
+            f"{folder}: the policy is recurrent, the refinement takes feedforward ones; train it in the new world by "
+            "algo=ppo_recurrent, or refine one of obs=history"
         )
     network = build_network(facts["layers"]).to(device)
     fill(network, folder)

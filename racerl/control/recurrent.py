@@ -50,24 +50,33 @@ class RecurrentPolicy:
     """The mean action of a trained actor that remembers; one race at a time, from its first step on."""
 
     name = "policy"
-    recurrent = True
 
     def __init__(self, network: RecurrentNetwork, observation: Mapping[str, Any], action: Mapping[str, Any]) -> None:
         self.network, self.observation, self.action = network, observation, action
-        self._memory = torch.empty(0, self.sizes[1])
+        self._memory = torch.empty(0, self.units)
 
     @property
     def sizes(self) -> list[int]:
         """Numbers that it reads, remembers and gives."""
         return self.network.sizes
 
+    @property
+    def units(self) -> int:
+        """Numbers that it remembers from step to step."""
+        return self.sizes[1]
+
     @torch.no_grad()
+    def decide(self, observation: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
+        """Return actions (N, 2) in [−1, 1] and the memory (N, U) after them."""
+        actions, memory = self.network(observation, memory)
+        return actions.clamp(-1.0, 1.0), memory
+
     def act(self, race: "Race") -> Tensor:
         """Return the actions for the cars of a race; of those whose episode begins, nothing is remembered."""
         if len(self._memory) != race.count:
-            self._memory = torch.zeros(race.count, self.sizes[1], device=race.device)
-        actions, self._memory = self.network(race.observe(), forgotten(self._memory, race.age == 0))
-        return actions.clamp(-1.0, 1.0)
+            self._memory = torch.zeros(race.count, self.units, device=race.device)
+        actions, self._memory = self.decide(race.observe(), forgotten(self._memory, race.age == 0))
+        return actions
 
 
 def forgotten(memory: Tensor, begun: Tensor) -> Tensor:

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 
 from racerl.control.policy import Policy
+from racerl.control.recurrent import RecurrentPolicy
 from racerl.deploy.c_header import c_header
 from racerl.deploy.driver import Array, Driver
 from racerl.deploy.trained import load_trained
@@ -31,7 +32,7 @@ ONNX, HEADER, CARD = "policy.onnx", "policy.h", "card.json"
 PROOF, SEED = 10_000, 0  # observations that the files are compared on
 WIDE = 1.5  # times their maxima, of the numbers seen
 ALIKE = 1e-5  # rad and m/s, greatest difference
-FUNCTION = '#include "policy.h"\nvoid drive(const float *x, float *d, float *s) { racerl_drive(x, d, s); }\n'
+FUNCTION = '#include "policy.h"\nvoid drive(const float *x, float *m, float *d, float *s) {{ racerl_drive({}); }}\n'
 
 
 def export(settings: Mapping[str, Any], out: Path) -> dict[str, Any]:
@@ -51,6 +52,7 @@ def export(settings: Mapping[str, Any], out: Path) -> dict[str, Any]:
         "policy": label(learned),
         **_interface(driver, action, dt),
         "layers": policy.sizes,
+        **({"memory": {"units": driver.units, "begins": 0.0}} if driver.units else {}),
         "observation": dict(policy.observation),
         "action": dict(policy.action),
         "vehicle": vehicle_document(learned["vehicle"], {}, "wheel_speed"),
@@ -89,21 +91,25 @@ def _interface(driver: Driver, action: Action, dt: float) -> dict[str, Any]:
     }
 
 
-def _parity(driver: Driver, policy: Policy, action: Action, dt: float, content: bytes, header: str) -> dict[str, Any]:
-    """Return by how much references differ from those of the race; None for what could not be run."""
+def _parity(
+    driver: Driver, policy: Policy | RecurrentPolicy, action: Action, dt: float, content: bytes, header: str
+) -> dict[str, Any]:
+    """Return by how much references, and what is remembered, differ from the race's; None for what could not be run."""
     generator = np.random.default_rng(SEED)
     seen = generator.uniform(-WIDE, WIDE, (PROOF, len(driver.sees))).astype(np.float32) * driver.maxima
     last = generator.uniform(driver.drive_min, driver.drive_max, PROOF).astype(np.float32)
+    memory = generator.uniform(-1.0, 1.0, (PROOF, driver.units)).astype(np.float32)
     scaled = (torch.from_numpy(seen) / torch.from_numpy(driver.maxima)).clamp(-OBSERVATION_LIMIT, OBSERVATION_LIMIT)
     before = torch.stack([torch.zeros(PROOF), torch.from_numpy(last)])
-    wanted = action.command(policy(scaled), before, dt).numpy()
+    decided, remembered = policy.decide(scaled, torch.from_numpy(memory))
+    wanted = np.column_stack([*action.command(decided, before, dt).numpy(), remembered.numpy()])
     found = {
-        "numpy": driver(seen, last),
-        "onnxruntime": _by_onnxruntime(content, seen, last),
-        "c": _by_compiler(header, seen, last),
+        "numpy": driver(seen, last, memory),
+        "onnxruntime": _by_onnxruntime(content, seen, last, memory),
+        "c": _by_compiler(header, seen, last, memory),
     }
     differences = {
-        name: None if got is None else float(np.abs(np.stack(got) - wanted).max()) for name, got in found.items()
+        name: None if got is None else float(np.abs(np.column_stack(got) - wanted).max()) for name, got in found.items()
     }
     for name, difference in differences.items():
         if difference is not None and not difference <= ALIKE:
@@ -111,29 +117,31 @@ def _parity(driver: Driver, policy: Policy, action: Action, dt: float, content: 
     return {"observations": PROOF, "allowed": ALIKE, **differences}
 
 
-def _by_onnxruntime(content: bytes, seen: Array, last: Array) -> tuple[Array, Array]:
+def _by_onnxruntime(content: bytes, seen: Array, last: Array, memory: Array) -> tuple[Array, Array, Array]:
     try:
         import onnxruntime
     except ImportError as error:
         raise ConfigError("racerl export needs onnxruntime: in your clone, pip install -e '.[export]'") from error
     session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
-    steering, drive = session.run(None, {"observation": seen, "last_drive_ref": last[:, None]})
-    return steering[:, 0], drive[:, 0]
+    told = {"observation": seen, "last_drive_ref": last[:, None], "memory": memory}
+    steering, drive, *remembered = session.run(None, {each.name: told[each.name] for each in session.get_inputs()})
+    return steering[:, 0], drive[:, 0], remembered[0] if remembered else memory
 
 
-def _by_compiler(header: str, seen: Array, last: Array) -> tuple[Array, Array] | None:
+def _by_compiler(header: str, seen: Array, last: Array, memory: Array) -> tuple[Array, Array, Array] | None:
     """Return what the C header's function gives; None where there is no compiler."""
     compiler = find_compiler()
     if compiler is None:
         return None
-    steering, drive = np.empty_like(last), last.copy()
+    steering, drive, memory = np.empty_like(last), last.copy(), memory.copy()
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / HEADER).write_text(header)
-        (Path(folder) / "drive.c").write_text(FUNCTION)
-        command = [compiler, "-O2", "-std=c99", "-Wall", "-Werror", "-shared", "-fPIC", "drive.c", "-o", "drive.so"]
+        (Path(folder) / "drive.c").write_text(FUNCTION.format("x, m, d, s" if memory.size else "x, d, s"))
+        kind = ["-O2", "-std=c99", "-Wall", "-Werror", "-shared", "-fPIC"]
+        command = [compiler, *kind, "drive.c", "-o", "drive.so", "-lm"]
         subprocess.run(command, cwd=folder, check=True, capture_output=True)  # noqa: S603
         function = ctypes.CDLL(str(Path(folder) / "drive.so")).drive
         for i, row in enumerate(seen):
-            places = (row.ctypes.data, drive[i:].ctypes.data, steering[i:].ctypes.data)
-            function(*map(ctypes.c_void_p, places))
-    return steering, drive
+            places = (row, memory[i], drive[i:], steering[i:])
+            function(*(ctypes.c_void_p(place.ctypes.data) for place in places))
+    return steering, drive, memory

@@ -91,6 +91,7 @@ class Pilot:
         self._delta = 0.0  # as the steering's model has it
         self._rate = 0.0  # of the drive reference
         self._past: Tensor  # what was ordered on the steps before, and where the car was then
+        self._memory: Tensor  # of the policy (1, U)
         self._driving = False
 
     def drive(self, sensed: Sensed, now: float) -> Order:
@@ -117,8 +118,10 @@ class Pilot:
         last, rate = torch.tensor([[steering], [drive]]), torch.tensor([self._rate])
         if not self._driving:
             self._past = filled(state, last, self.observation.memory)
+            self._memory = torch.zeros(1, self.policy.units)
         view = View(state, place, last, rate, self._past, self.frame, self.action, self._constant)
-        command = self.action.command(self.policy(scaled(self.observation, view)), last, self.period)
+        action, self._memory = self.policy.decide(scaled(self.observation, view), self._memory)
+        command = self.action.command(action, last, self.period)
         self._driving = True
         delta_ref, drive_ref = command[:, 0].tolist()
         if not (math.isfinite(delta_ref) and math.isfinite(drive_ref)):

@@ -84,10 +84,9 @@ The race is a few tensors: observations of all cars in, actions of all cars out.
 
 # %%
 race = build_race(compose_settings("train"), cars=100, seeds=[1])
-observation, metres = race.reset(), 0.0
+metres = 0.0
 for _ in range(200):
-    step = race.step(policy.policy(observation))
-    observation = step.observation
+    step = race.step(policy.policy.act(race))  # what it decides by what it observes
     metres += step.progress.mean().item()
 print(f"A car makes {metres:.0f} m in ten seconds.")
 

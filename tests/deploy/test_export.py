@@ -1,6 +1,7 @@
 """An exported policy drives as the policy does: by its numbers in a race, in ONNX, in C."""
 
 import json
+import shutil
 import sys
 
 import numpy as np
@@ -9,7 +10,8 @@ import pytest
 import torch
 
 from racerl.config import compose_settings
-from racerl.control.policy import Policy, build_network
+from racerl.control.policy import Policy, build_network, load_policy, save_policy
+from racerl.control.recurrent import RecurrentNetwork, RecurrentPolicy
 from racerl.deploy import export as stage
 from racerl.deploy.c_header import c_header
 from racerl.deploy.driver import Driver
@@ -20,12 +22,19 @@ from racerl.vehicle.compiler import find_compiler
 from tests.env.test_race import make
 
 WORDS = [[], ["action=speed"], ["obs=progress"], ["obs=history"], ["action=current", "sim=motor_current"]]
+RECURRENT = "recurrent"
 
 
 def driver_of(*words):
     """Return a race and a policy of random weights for it, large enough that its references differ."""
-    race = make(*words, cars=16)
+    race = make(*(word for word in words if word != RECURRENT), cars=16)
     torch.manual_seed(1)
+    if RECURRENT in words:
+        remembers = RecurrentNetwork(race.observation.size, 12, 2).requires_grad_(False)
+        for weight in remembers.parameters():
+            torch.nn.init.normal_(weight, std=0.5)
+        policy = RecurrentPolicy(remembers, {}, {})
+        return race, policy, Driver.of(policy, race.observation, race.action, race.timing.dt)
     network = build_network([race.observation.size, 24, 24, 2])
     for layer, size in zip(network[::2], (2.0, 2.0, 0.5), strict=True):
         torch.nn.init.normal_(layer.weight, std=size / layer.in_features**0.5)
@@ -33,18 +42,19 @@ def driver_of(*words):
     return race, policy, Driver.of(policy, race.observation, race.action, race.timing.dt)
 
 
-@pytest.mark.parametrize("words", WORDS)
+@pytest.mark.parametrize("words", [*WORDS, [RECURRENT], [RECURRENT, "action=speed"]])
 def test_what_is_driven_in_a_race_is_what_the_files_say(words):
     race, policy, driver = driver_of(*words)
     content, header = onnx_bytes(driver, {}), c_header(driver, "a test")
     scale = torch.tensor([each.maximum for each in driver.sees])
-    reached = []
+    reached, memories = [], [np.zeros((16, driver.units), np.float32)] * 3
     for _ in range(40):
         seen, last = (race.observe() * scale).numpy(), race.command[1].numpy().copy()
         step = race.step(policy.act(race))
-        found = [driver(seen, last), _by_onnxruntime(content, seen, last)]
-        found += [_by_compiler(header, seen, last)] if find_compiler() else []
-        for steering, drive in found:
+        found = [driver(seen, last, memories[0]), _by_onnxruntime(content, seen, last, memories[1])]
+        found += [_by_compiler(header, seen, last, memories[2])] if find_compiler() else []
+        memories = [memory * (race.age > 0).numpy()[:, None] for _, _, memory in found]
+        for steering, drive, _ in found:
             assert np.allclose(steering, step.command[0], atol=1e-5) and np.allclose(drive, step.command[1], atol=2e-5)
         reached.append(step.command.numpy())
     commands = np.concatenate(reached, axis=1)
@@ -96,6 +106,20 @@ def test_the_files_of_a_training_and_their_card(smoke_run, tmp_path):
     assert again == card
     for name in (ONNX, HEADER, CARD):
         assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "again" / name).read_bytes()
+
+
+def test_a_policy_that_remembers_is_exported_with_its_memory(smoke_run, tmp_path):
+    _, policy, _ = driver_of(RECURRENT)
+    run = shutil.copytree(smoke_run, tmp_path / "run")
+    before = load_policy(smoke_run)
+    policy.observation, policy.action = before.observation, before.action
+    save_policy(policy, run)
+    card = export(compose_settings("export", [f"run='{run}'"]), tmp_path / "out")
+    assert card["memory"] == {"units": 12, "begins": 0.0} and 0.0 < card["parity"]["onnxruntime"] <= 1e-5
+    graph = onnx.load(tmp_path / "out" / ONNX).graph
+    assert [each.name for each in graph.input] == ["observation", "last_drive_ref", "memory"]
+    assert [each.name for each in graph.output] == ["delta_ref", "drive_ref", "next_memory"]
+    assert "float memory[RACERL_MEMORY]" in (tmp_path / "out" / HEADER).read_text()
 
 
 def test_a_file_that_drives_otherwise_is_not_written(smoke_run, tmp_path, monkeypatch):

@@ -8,6 +8,7 @@ import torch
 
 from racerl.config import compose_settings
 from racerl.control.policy import Policy, build_network, load_policy, save_policy
+from racerl.control.recurrent import RecurrentNetwork, RecurrentPolicy, load_driver
 from racerl.deploy.pilot import Guard, Pilot, Sensed
 from racerl.env.observations import settings_of
 from racerl.errors import RacerlError
@@ -49,8 +50,16 @@ def test_a_policy_that_looks_back_drives_as_in_a_race(smoke_run, tmp_path):
     assert drives_alike(race, run) > 5
 
 
+def test_a_policy_that_remembers_drives_as_in_a_race(race, smoke_run, tmp_path):
+    run = shutil.copytree(smoke_run, tmp_path / "run")
+    torch.manual_seed(0)
+    before = load_policy(smoke_run)
+    save_policy(RecurrentPolicy(RecurrentNetwork(50, 16, 2), before.observation, before.action), run)
+    assert drives_alike(race, run) > 5
+
+
 def drives_alike(race, run):
-    policy, pilot = load_policy(run), Pilot(run, guard=Guard(off_track=9.0, settle=0.0))
+    policy, pilot = load_driver(run), Pilot(run, guard=Guard(off_track=9.0, settle=0.0))
     for number in range(25):
         now = number * DT
         order = pilot.drive(sensed(race, now), now)
