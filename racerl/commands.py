@@ -25,8 +25,7 @@ import pandas as pd
 
 from racerl.choices import default_groups
 from racerl.config import PAPER, Settings, compose_settings, quote
-from racerl.control.policy import Policy
-from racerl.control.recurrent import RecurrentPolicy, load_driver
+from racerl.control.policy import AnyPolicy, load_policy
 from racerl.documents import read_json
 from racerl.errors import ConfigError, RunError
 from racerl.gap.hypotheses import Hypothesis
@@ -184,9 +183,9 @@ class Training(Result):
     """A trained policy."""
 
     @cached_property
-    def policy(self) -> Policy | RecurrentPolicy:
+    def policy(self) -> AnyPolicy:
         """The policy, on torch: `decide` takes scaled observations (N, O) and a memory, gives actions (N, 2) in ±1."""
-        return load_driver(self.folder)
+        return load_policy(self.folder)
 
 
 class Laps(Result):

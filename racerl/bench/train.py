@@ -22,7 +22,8 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from racerl.assemble import build_race, unlimited
 from racerl.bench import Compose, Progress
-from racerl.control.policy import Policy, load_policy
+from racerl.control import Controller
+from racerl.control.policy import load_policy
 from racerl.env.adapters.sb3 import RaceVecEnv
 from racerl.env.race import Race
 from racerl.env.termination import Crash
@@ -135,7 +136,7 @@ class Judge:
         self.race = build_race(exact, cars=1, seeds=[0], termination=Crash())
         self.optimum = find_optimum(self.race.vehicle, self.race.track, self.race.action).time
 
-    def __call__(self, policy: Policy) -> dict[str, Any]:
+    def __call__(self, policy: Controller) -> dict[str, Any]:
         """Return the mean of 20 laps in s, how many were clean, and the share over the optimum."""
         self.race.reseed([0])
         self.race.reset()

@@ -4,7 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from racerl.control.policy import SLOPE, Policy
+from racerl.control.networks import SLOPE
+from racerl.control.policy import Policy
 
 Array = NDArray[np.float32]
 

@@ -14,11 +14,11 @@ from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor, nn
 
+from racerl.control.networks import RecurrentNetwork, build_network, forgotten
 from racerl.documents import read_bytes, read_json, write_bytes, write_json
 from racerl.errors import DocumentError, PolicyError
 
 if TYPE_CHECKING:
-    from racerl.control.recurrent import RecurrentPolicy
     from racerl.env.race import Race
 
 FORMAT = 1
@@ -26,16 +26,7 @@ WEIGHTS, FACTS = "policy.safetensors", "policy.json"
 UNREFINED = "unrefined"  # folder, in a training's, of its policy as it was before the refinement
 MAX_WEIGHTS_BYTES = 256 * 1024 * 1024
 MAX_LAYERS, MAX_UNITS = 16, 65536
-SLOPE = 0.2  # of the LeakyReLU
 RECURRENT = "recurrent"  # key of the facts of a policy that remembers
-
-
-def build_network(sizes: list[int]) -> nn.Sequential:
-    """Return linear layers of these sizes with LeakyReLU(0.2) between them."""
-    layers: list[nn.Module] = []
-    for i in range(len(sizes) - 1):
-        layers += [nn.Linear(sizes[i], sizes[i + 1]), nn.LeakyReLU(SLOPE)]
-    return nn.Sequential(*layers[:-1])
 
 
 @dataclass(frozen=True)
@@ -69,7 +60,43 @@ class Policy:
         return [linear[0].in_features, *(layer.out_features for layer in linear)]
 
 
-def save_policy(policy: "Policy | RecurrentPolicy", folder: Path, **facts: Any) -> None:
+class RecurrentPolicy:
+    """The mean action of a trained actor that remembers; one race at a time, from its first step on."""
+
+    name = "policy"
+
+    def __init__(self, network: RecurrentNetwork, observation: Mapping[str, Any], action: Mapping[str, Any]) -> None:
+        self.network, self.observation, self.action = network, observation, action
+        self._memory = torch.empty(0, self.units)
+
+    @property
+    def sizes(self) -> list[int]:
+        """Numbers that it reads, remembers and gives."""
+        return self.network.sizes
+
+    @property
+    def units(self) -> int:
+        """Numbers that it remembers from step to step."""
+        return self.sizes[1]
+
+    @torch.no_grad()
+    def decide(self, observation: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
+        """Return actions (N, 2) in [−1, 1] and the memory (N, U) after them."""
+        actions, memory = self.network(observation, memory)
+        return actions.clamp(-1.0, 1.0), memory
+
+    def act(self, race: "Race") -> Tensor:
+        """Return the actions for the cars of a race; of those whose episode begins, nothing is remembered."""
+        if len(self._memory) != race.count:
+            self._memory = torch.zeros(race.count, self.units, device=race.device)
+        actions, self._memory = self.decide(race.observe(), forgotten(self._memory, race.age == 0))
+        return actions
+
+
+AnyPolicy = Policy | RecurrentPolicy
+
+
+def save_policy(policy: AnyPolicy, folder: Path, **facts: Any) -> None:
     """Write a policy into a folder, atomically, weights first."""
     weights = {name: tensor.detach().cpu().contiguous() for name, tensor in policy.network.state_dict().items()}
     write_bytes(folder / WEIGHTS, save(weights))
@@ -86,23 +113,20 @@ def save_policy(policy: "Policy | RecurrentPolicy", folder: Path, **facts: Any) 
     )
 
 
-def load_policy(folder: Path, device: torch.device | str = "cpu") -> Policy:
-    """Read a policy; raise PolicyError when a file is missing, damaged, of another version or not finite.
-
-    Raises PolicyError for a recurrent one, too, which is more than a feedforward network.
-    """
-    facts = read_facts(folder)
+def load_policy(folder: Path, device: torch.device | str = "cpu") -> AnyPolicy:
+    """Read a policy; raise PolicyError when a file is missing, damaged, of another version or not finite."""
+    facts = _read_facts(folder)
+    about = facts["observation"], facts["action"]
     if facts.get(RECURRENT):
-        raise PolicyError(
-            f"{folder}: the policy is recurrent, the refinement takes feedforward ones; train it in the new world by "
-            "algo=ppo_recurrent, or refine one of obs=history"
-        )
+        remembering = RecurrentNetwork(*facts["layers"]).to(device)
+        _fill(remembering, folder)
+        return RecurrentPolicy(remembering, *about)
     network = build_network(facts["layers"]).to(device)
-    fill(network, folder)
-    return Policy(network, facts["observation"], facts["action"])
+    _fill(network, folder)
+    return Policy(network, *about)
 
 
-def read_facts(folder: Path) -> dict[str, Any]:
+def _read_facts(folder: Path) -> dict[str, Any]:
     """Return what a policy's JSON says of it; raise PolicyError where that cannot be."""
     try:
         facts: dict[str, Any] = read_json(folder / FACTS)
@@ -117,7 +141,7 @@ def read_facts(folder: Path) -> dict[str, Any]:
     return facts
 
 
-def fill(network: nn.Module, folder: Path) -> None:
+def _fill(network: nn.Module, folder: Path) -> None:
     """Give a network the weights of a folder; raise PolicyError where they do not fit or are not finite."""
     try:
         network.load_state_dict(_read_weights(folder / WEIGHTS))

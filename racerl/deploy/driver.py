@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from racerl.control.policy import SLOPE, Policy
-from racerl.control.recurrent import RecurrentPolicy
+from racerl.control.networks import SLOPE
+from racerl.control.policy import AnyPolicy
 from racerl.env.actions import Action, half_range, middle
 from racerl.env.observations import OBSERVATION_LIMIT, Observation, Seen
 
@@ -70,7 +70,7 @@ class Driver:
     cell: Cell | None = None
 
     @classmethod
-    def of(cls, policy: Policy | RecurrentPolicy, observation: Observation, action: Action, dt: float) -> "Driver":
+    def of(cls, policy: AnyPolicy, observation: Observation, action: Action, dt: float) -> "Driver":
         """Return a policy of a fitted observation and an action, for a car that asks it every `dt` seconds."""
         linear = [layer for layer in policy.network.modules() if isinstance(layer, nn.Linear)]
         cells = [layer for layer in policy.network.modules() if isinstance(layer, nn.GRUCell)]

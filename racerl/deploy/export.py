@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from racerl.control.policy import Policy
-from racerl.control.recurrent import RecurrentPolicy
+from racerl.control.policy import AnyPolicy
 from racerl.deploy.c_header import c_header
 from racerl.deploy.driver import Array, Driver
 from racerl.deploy.trained import load_trained
@@ -92,7 +91,7 @@ def _interface(driver: Driver, action: Action, dt: float) -> dict[str, Any]:
 
 
 def _parity(
-    driver: Driver, policy: Policy | RecurrentPolicy, action: Action, dt: float, content: bytes, header: str
+    driver: Driver, policy: AnyPolicy, action: Action, dt: float, content: bytes, header: str
 ) -> dict[str, Any]:
     """Return by how much references, and what is remembered, differ from the race's; None for what could not be run."""
     generator = np.random.default_rng(SEED)

@@ -4,8 +4,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from racerl.assemble import build_action, build_timing, build_track
-from racerl.control.policy import Policy
-from racerl.control.recurrent import RecurrentPolicy, load_driver
+from racerl.control.policy import AnyPolicy, load_policy
 from racerl.env.actions import Action
 from racerl.env.observations import Observation, create_observation
 from racerl.errors import PolicyError
@@ -17,7 +16,7 @@ class Trained(NamedTuple):
     """A policy, where it comes from, and its world."""
 
     origin: Origin
-    policy: Policy | RecurrentPolicy
+    policy: AnyPolicy
     track: Track
     action: Action
     observation: Observation  # fitted
@@ -29,7 +28,7 @@ def load_trained(run: Path) -> Trained:
 
     Raises RunError, PolicyError or ConfigError where it cannot drive.
     """
-    origin, policy = origin_of(run), load_driver(run)
+    origin, policy = origin_of(run), load_policy(run)
     settings = {**origin.settings, "action": policy.action}
     track = build_track(settings)
     observation = create_observation(policy.observation).fitted(track)

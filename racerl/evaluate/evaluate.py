@@ -11,8 +11,7 @@ import torch
 
 from racerl import bounds
 from racerl.assemble import Car, build_race, check_settings, choose_device, unlimited, use_threads
-from racerl.control.policy import FACTS, UNREFINED
-from racerl.control.recurrent import load_driver
+from racerl.control.policy import FACTS, UNREFINED, load_policy
 from racerl.documents import read_json
 from racerl.env.race import Race
 from racerl.env.randomize import Randomization
@@ -45,7 +44,7 @@ def evaluate(
     car = construct(Car, settings["car"], "car")
     race_settings = combine(origin.settings, settings, car)
     device = choose_device(settings["device"])
-    policy = load_driver(run, device)
+    policy = load_policy(run, device)
     # the policy knows what it sees and does, in which scale
     race_settings |= {"obs": policy.observation, "action": policy.action}
     race = build_evaluation_race(race_settings, seeds, device, car.estimate)

@@ -20,8 +20,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from torch import Tensor, nn
 
 from racerl import bounds
-from racerl.control.policy import Policy
-from racerl.control.recurrent import RecurrentPolicy
+from racerl.control.policy import AnyPolicy
 from racerl.env.adapters.sb3 import RaceVecEnv
 from racerl.env.race import Race
 from racerl.env.races import Races
@@ -190,7 +189,7 @@ class RacePPO(PPO):
         network = cast(nn.Sequential, self._mean)
         return self.normaliser.fold(network) if self.budget.normalise else network
 
-    def as_policy(self, settings: Mapping[str, Any]) -> Policy | RecurrentPolicy:
+    def as_policy(self, settings: Mapping[str, Any]) -> AnyPolicy:
         """Return a copy of the actor as a policy for the race it learns in."""
         return policy_of(cast(nn.Sequential, copy.deepcopy(self.actor())), self.race, settings)
 

@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from racerl.control.recurrent import RecurrentNetwork, RecurrentPolicy, forgotten
+from racerl.control.networks import RecurrentNetwork, forgotten
+from racerl.control.policy import RecurrentPolicy
 from racerl.env.observations import settings_of
 from racerl.env.race import Race
 from racerl.env.races import Races

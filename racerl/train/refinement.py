@@ -22,11 +22,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
+from torch.nn.functional import linear
 
 from racerl import bounds
 from racerl.assemble import unlimited
-from racerl.control.policy import SLOPE, Policy
+from racerl.control.networks import Map, forgotten, maps, walk
+from racerl.control.policy import AnyPolicy
 from racerl.env.race import Race
 from racerl.env.races import Races
 from racerl.env.termination import CRASH_DISTANCE, Crash
@@ -83,7 +85,7 @@ class Refinement:
         return float(first * (last / first) ** (generation / max(1, self.generations - 1)))
 
 
-def refine(session: Session, settings: Refinement, policy: Policy, before: int, began: float) -> dict[str, Any]:
+def refine(session: Session, settings: Refinement, policy: AnyPolicy, before: int, began: float) -> dict[str, Any]:
     """Refine a policy in place, after `before` control steps and `began` s of training; return facts to keep.
 
     An interrupted refinement goes on from its checkpoint. `clean_after_s`: seconds until a first examination without a
@@ -92,7 +94,7 @@ def refine(session: Session, settings: Refinement, policy: Policy, before: int, 
     world = unlimited(session.settings)
     lead = session.build_races(settings.pairs, world)
     race = session.build_races(settings.pairs, world, 2, Crash())
-    search = Search(settings, policy.network, lead, race, session.seed)
+    search = Search(settings, policy, lead, race, session.seed)
     path = session.folder.path / FILE
     state = checkpoint.recover(path, search.restore)
     first = search.generation
@@ -140,18 +142,23 @@ class Practice:
     A car starts anew when its episode is over, and after a crash, then mostly from where it had started.
     """
 
-    def __init__(self, race: Race | Races, settings: Refinement, dice: torch.Generator) -> None:
-        self.race, self.settings, self.dice = race, settings, dice
+    def __init__(self, race: Race | Races, policy: AnyPolicy, settings: Refinement, dice: torch.Generator) -> None:
+        self.race, self.policy, self.settings, self.dice = race, policy, settings, dice
+        self.memory = torch.zeros(race.count, policy.units, device=race.device)
         # episodes end one after the other
         race.age = torch.arange(race.count, device=race.device) * settings.episode // race.count
         self.starts, self.commands = race.state.clone(), race.command.clone()
 
-    def drive(self, network: nn.Module) -> None:
+    def drive(self) -> None:
         """Drive for a while; cars whose episode is over then stand at their next start."""
         for _ in range(self.settings.between):
-            self._return(self.race.step(network(self.race.observe())).terminated)
+            action, memory = self.policy.decide(self.race.observe(), self.memory)
+            crashed = self.race.step(action).terminated
+            self.memory = forgotten(memory, crashed)
+            self._return(crashed)
         over = self.race.age >= self.settings.episode
         self.race.restart(over)
+        self.memory = forgotten(self.memory, over)
         self._remember(over)
 
     def _return(self, crashed: Tensor) -> None:
@@ -169,11 +176,13 @@ class Practice:
 
     def snapshot(self) -> dict[str, Tensor]:
         """Return all that what it does next depends on, but for the dice."""
-        return {**self.race.snapshot(), "starts": self.starts, "start_commands": self.commands}
+        kept = {"starts": self.starts, "start_commands": self.commands, "memory": self.memory}
+        return {**self.race.snapshot(), **kept}
 
     def restore(self, kept: dict[str, Tensor]) -> None:
         """Go on from a snapshot."""
-        self.starts, self.commands = (kept.pop(name).to(self.race.device) for name in ("starts", "start_commands"))
+        names = ("starts", "start_commands", "memory")
+        self.starts, self.commands, self.memory = (kept.pop(name).to(self.race.device) for name in names)
         self.race.restore(kept)
 
 
@@ -181,15 +190,20 @@ class Search:
     """An evolution strategy in the course of a refinement: the policy's weights, their momentum, and the cars."""
 
     def __init__(
-        self, settings: Refinement, network: nn.Sequential, lead: Race | Races, race: Race | Races, seed: int
+        self,
+        settings: Refinement,
+        policy: AnyPolicy,
+        lead: Race | Races,
+        race: Race | Races,
+        seed: int,
     ) -> None:
-        """`lead` has a car for every pair, `race` those twice over; the network's weights are changed in place."""
+        """`lead` has a car for every pair, `race` those twice over; the policy's weights are changed in place."""
         self.settings, self.lead, self.race = settings, lead, race
         self.dice = torch.Generator(self.lead.device).manual_seed(seed)
-        self.practice = Practice(self.lead, settings, self.dice)
-        self.network = network
-        self.linear = [layer for layer in network if isinstance(layer, nn.Linear)]
-        self.momentum = [torch.zeros_like(_whole(layer)) for layer in self.linear]
+        self.practice = Practice(self.lead, policy, settings, self.dice)
+        self.network = policy.network
+        self.maps = maps(policy.network)
+        self.momentum = [torch.zeros_like(_whole(own)) for own in self.maps]
         self.generation = 0
 
     @torch.no_grad()
@@ -198,34 +212,36 @@ class Search:
         settings = self.settings
         sigma = settings.at(settings.perturbation, self.generation)
         alpha = settings.at(settings.step, self.generation)
-        self.practice.drive(self.network)
+        self.practice.drive()
         self._begin()
         scales = self._scales()
-        normal = [self._normal(layer, scale) for layer, scale in zip(self.linear, scales, strict=True)]
-        sizes = [_rms(_whole(layer) * scale) for layer, scale in zip(self.linear, scales, strict=True)]
+        normal = self._normal(scales)
+        sizes = [_rms(_whole(own) * scale) for own, scale in zip(self.maps, scales, strict=True)]
         fitness = self._fitness(normal, [sigma * size for size in sizes])
         ahead, behind = fitness.chunk(2)
         gain = ahead - behind
         most = settings.most * gain.abs().median()
         weight = gain.clamp(-most, most)
-        for i, (layer, (a, b)) in enumerate(zip(self.linear, normal, strict=True)):
+        for i, ((weights, biases), (a, b)) in enumerate(zip(self.maps, normal, strict=True)):
             slope = (a * weight[:, None]).T @ (b * scales[i])
             self.momentum[i] = settings.momentum * self.momentum[i] + (1.0 - settings.momentum) * slope
             length = _rms(self.momentum[i])
             if length > 0.0:
                 step = alpha * sizes[i] / length * self.momentum[i] / scales[i]
-                layer.weight.add_(step[:, :-1])
-                layer.bias.add_(step[:, -1])
+                weights.add_(step[:, :-1])
+                biases.add_(step[:, -1])
         self.generation += 1
         return {"fitness": float(fitness.mean()), "crashes": float(self.crashed.float().mean())}
 
     def _scales(self) -> list[Tensor]:
-        """Return the root mean square of every layer's inputs (in + 1,), over the cars that the policy drives."""
-        x, found = self.lead.observe(), []
-        for layer in self.network:
-            if isinstance(layer, nn.Linear):
-                found.append(torch.cat([x.square().mean(dim=0).sqrt(), x.new_ones(1)]).clamp(min=FAINTEST))
-            x = layer(x)
+        """Return the root mean square of every map's inputs (in + 1,), over the cars that the policy drives."""
+        found = []
+
+        def measured(i: int, x: Tensor) -> Tensor:
+            found.append(torch.cat([x.square().mean(dim=0).sqrt(), x.new_ones(1)]).clamp(min=FAINTEST))
+            return linear(x, *self.maps[i])
+
+        walk(self.network, self.lead.observe(), self.practice.memory, measured)
         return found
 
     def snapshot(self) -> dict[str, Tensor]:
@@ -238,19 +254,21 @@ class Search:
     def restore(self, tensors: dict[str, Tensor], state: Mapping[str, Any]) -> None:
         """Go on from a snapshot."""
         self.network.load_state_dict(section(tensors, "network."))
-        self.momentum = [tensors[f"momentum.{i}"].to(self.lead.device) for i in range(len(self.linear))]
+        self.momentum = [tensors[f"momentum.{i}"].to(self.lead.device) for i in range(len(self.maps))]
         self.practice.restore(section(tensors, "lead."))
         self.race.dice.restore(tensors["race.dice"])
         self.dice.set_state(tensors["dice"])
         self.generation = state["generation"]
 
-    def _normal(self, layer: nn.Linear, scale: Tensor) -> tuple[Tensor, Tensor]:
-        """Return a and b/r of every pair, of a layer's outputs (P, out) and its inputs and bias (P, in + 1)."""
-        pairs, device = self.settings.pairs, self.lead.device
-        a, b = (
-            torch.randn(pairs, size, generator=self.dice, device=device) for size in (layer.out_features, len(scale))
-        )
-        return a, b / scale
+    def _normal(self, scales: Sequence[Tensor]) -> list[tuple[Tensor, Tensor]]:
+        """Return a and b/r of every map and pair, of its outputs (P, out) and its inputs and bias (P, in + 1)."""
+
+        def draw(size: int) -> Tensor:
+            return torch.randn(self.settings.pairs, size, generator=self.dice, device=self.lead.device)
+
+        return [
+            (draw(len(biases)), draw(len(scale)) / scale) for (_, biases), scale in zip(self.maps, scales, strict=True)
+        ]
 
     def _begin(self) -> None:
         """Put both cars of every pair where a car stands that the policy drives."""
@@ -263,9 +281,10 @@ class Search:
         race, settings = self.race, self.settings
         self.crashed = torch.zeros(race.count, dtype=torch.bool, device=race.device)
         fitness = torch.zeros(race.count, device=race.device)
-        observation = race.observe()
+        observation, memory = race.observe(), torch.cat([self.practice.memory] * 2)
         for _ in range(settings.horizon):
-            step = race.step(self._perturbed(observation, normal, sizes))
+            action, memory = self._perturbed(observation, memory, normal, sizes)
+            step = race.step(action)
             self.crashed |= step.terminated
             margin = step.margin.masked_fill(self.crashed, -CRASH_DISTANCE)
             close = (settings.reserve - margin).clamp(min=0.0)
@@ -273,21 +292,26 @@ class Search:
             observation = step.observation
         return fitness
 
-    def _perturbed(self, x: Tensor, normal: Sequence[tuple[Tensor, Tensor]], sizes: Sequence[Tensor]) -> Tensor:
-        """Return the actions (2 P, 2) of the networks θ ± σ ε."""
-        half = len(x) // 2
-        for i, (layer, (a, b), size) in enumerate(zip(self.linear, normal, sizes, strict=True)):
-            y = layer(x)
+    def _perturbed(
+        self, observation: Tensor, memory: Tensor, normal: Sequence[tuple[Tensor, Tensor]], sizes: Sequence[Tensor]
+    ) -> tuple[Tensor, Tensor]:
+        """Return the actions (2 P, 2) and the next memories of the networks θ ± σ ε."""
+        half = len(observation) // 2
+
+        def apply(i: int, x: Tensor) -> Tensor:
+            (a, b), y = normal[i], linear(x, *self.maps[i])
             for part, sign in ((slice(None, half), 1.0), (slice(half, None), -1.0)):
                 along = (x[part] * b[:, :-1]).sum(dim=1) + b[:, -1]
-                y[part] += (sign * size * along)[:, None] * a
-            x = y if i == len(self.linear) - 1 else nn.functional.leaky_relu(y, SLOPE)
-        return x
+                y[part] += (sign * sizes[i] * along)[:, None] * a
+            return y
+
+        return walk(self.network, observation, memory, apply)
 
 
-def _whole(layer: nn.Linear) -> Tensor:
-    """Return a layer's weights with its biases as the last column."""
-    return torch.cat([layer.weight, layer.bias[:, None]], dim=1)
+def _whole(own: Map) -> Tensor:
+    """Return a map's weights with its biases as the last column."""
+    weights, biases = own
+    return torch.cat([weights, biases[:, None]], dim=1)
 
 
 def _rms(values: Tensor) -> Tensor:

@@ -15,8 +15,7 @@ from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputF
 from torch import Tensor, nn
 
 from racerl.assemble import build_race, build_races, one_world_each, unlimited
-from racerl.control.policy import Policy, save_policy
-from racerl.control.recurrent import RecurrentPolicy
+from racerl.control.policy import AnyPolicy, Policy, save_policy
 from racerl.documents import MAX_TEXT_BYTES, read_text, write_text
 from racerl.env.black_box import read_failures, write_failures
 from racerl.env.observations import settings_of
@@ -95,7 +94,7 @@ class Examiner:
             build_race(world, cars=cars, seeds=self.seeds, device=device, termination=Crash()) for world in worlds
         ]
 
-    def examine(self, policy: Policy | RecurrentPolicy) -> dict[str, Any]:
+    def examine(self, policy: AnyPolicy) -> dict[str, Any]:
         """Return the score of two flying laps of each car, of those on all tracks together."""
         laps = []
         for race in self.races:
@@ -218,7 +217,7 @@ class Session:
         """Training time in s, earlier sessions included, evaluations too."""
         return self.earlier_seconds + time.perf_counter() - self._began
 
-    def examine(self, policy: Policy | RecurrentPolicy, steps: int, *, improving: bool = False) -> None:
+    def examine(self, policy: AnyPolicy, steps: int, *, improving: bool = False) -> None:
         """Evaluate a policy and keep it when it is the best so far by `rank`, or anyhow where they are `improving`."""
         self.last = {**self.examiner.examine(policy), "steps": steps}
         self.logger.record("time/seconds", self.seconds)

@@ -3,8 +3,9 @@
 import numpy as np
 import torch
 
+from racerl.control.networks import build_network
 from racerl.control.onboard import OnboardPolicy
-from racerl.control.policy import Policy, build_network
+from racerl.control.policy import Policy
 
 
 def test_it_gives_the_same_actions():

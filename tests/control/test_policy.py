@@ -8,7 +8,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from racerl.control.policy import FACTS, WEIGHTS, Policy, build_network, load_policy, save_policy
+from racerl.control.networks import build_network
+from racerl.control.policy import FACTS, WEIGHTS, Policy, load_policy, save_policy
 from racerl.errors import PolicyError
 
 

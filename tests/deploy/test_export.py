@@ -10,8 +10,8 @@ import pytest
 import torch
 
 from racerl.config import compose_settings
-from racerl.control.policy import Policy, build_network, load_policy, save_policy
-from racerl.control.recurrent import RecurrentNetwork, RecurrentPolicy
+from racerl.control.networks import RecurrentNetwork, build_network
+from racerl.control.policy import Policy, RecurrentPolicy, load_policy, save_policy
 from racerl.deploy import export as stage
 from racerl.deploy.c_header import c_header
 from racerl.deploy.driver import Driver

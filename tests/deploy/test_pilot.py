@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from racerl.config import compose_settings
-from racerl.control.policy import Policy, build_network, load_policy, save_policy
-from racerl.control.recurrent import RecurrentNetwork, RecurrentPolicy, load_driver
+from racerl.control.networks import RecurrentNetwork, build_network
+from racerl.control.policy import Policy, RecurrentPolicy, load_policy, save_policy
 from racerl.deploy.pilot import Guard, Pilot, Sensed
 from racerl.env.observations import settings_of
 from racerl.errors import RacerlError
@@ -59,7 +59,7 @@ def test_a_policy_that_remembers_drives_as_in_a_race(race, smoke_run, tmp_path):
 
 
 def drives_alike(race, run):
-    policy, pilot = load_driver(run), Pilot(run, guard=Guard(off_track=9.0, settle=0.0))
+    policy, pilot = load_policy(run), Pilot(run, guard=Guard(off_track=9.0, settle=0.0))
     for number in range(25):
         now = number * DT
         order = pilot.drive(sensed(race, now), now)

@@ -8,7 +8,8 @@ import yaml
 
 from racerl.assemble import build_race
 from racerl.config import compose_settings
-from racerl.control.policy import build_network, save_policy
+from racerl.control.networks import build_network
+from racerl.control.policy import save_policy
 from racerl.errors import RacerlError
 from racerl.evaluate import evaluate as stage
 from racerl.run import RunFolder

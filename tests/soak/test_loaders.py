@@ -28,7 +28,8 @@ from PIL import Image
 from racerl.assemble import build_race
 from racerl.config import compose_settings
 from racerl.control.controllers import create_controller, read_controller
-from racerl.control.policy import build_network, load_policy, save_policy
+from racerl.control.networks import build_network
+from racerl.control.policy import load_policy, save_policy
 from racerl.data.layout import read_layout
 from racerl.data.load import load_logs
 from racerl.documents import read_json, read_yaml

@@ -25,7 +25,8 @@ import yaml
 from racerl.assemble import build_race
 from racerl.config import _check_user_files, compose_settings
 from racerl.control.controllers import create_controller, read_controller
-from racerl.control.policy import build_network, load_policy, save_policy
+from racerl.control.networks import build_network
+from racerl.control.policy import load_policy, save_policy
 from racerl.data.load import load_logs
 from racerl.data.survey import survey
 from racerl.documents import read_json, read_yaml

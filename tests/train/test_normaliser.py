@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from racerl.control.policy import build_network
+from racerl.control.networks import build_network
 from racerl.train.normaliser import Normaliser
 
 CPU = torch.device("cpu")

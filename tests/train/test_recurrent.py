@@ -5,12 +5,14 @@ import json
 import pytest
 import torch
 from stable_baselines3.common.logger import configure
+from torch.nn.functional import linear
 
 from racerl.config import compose_settings
-from racerl.control.policy import FACTS, Policy, build_network, load_policy, save_policy
-from racerl.control.recurrent import RecurrentNetwork, RecurrentPolicy, forgotten, load_driver
+from racerl.control.networks import RecurrentNetwork, build_network, forgotten, maps, walk
+from racerl.control.policy import FACTS, Policy, RecurrentPolicy, load_policy, save_policy
 from racerl.errors import ConfigError, PolicyError
 from racerl.evaluate.evaluate import evaluate, learned
+from racerl.train.onward import train_onward
 from racerl.train.ppo import Budget, RacePPO
 from racerl.train.recurrent_ppo import RecurrentPPO
 from racerl.train.train import train
@@ -103,7 +105,7 @@ def policy():
 
 def test_it_comes_back_as_it_was_and_remembers_from_where_an_episode_begins(policy, tmp_path):
     save_policy(policy, tmp_path)
-    again, race = load_driver(tmp_path), make(cars=4)
+    again, race = load_policy(tmp_path), make(cars=4)
     memory = torch.zeros(4, UNITS)
     for step in range(6):
         if step == 3:
@@ -117,14 +119,7 @@ def test_it_comes_back_as_it_was_and_remembers_from_where_an_episode_begins(poli
 
 def test_a_policy_without_a_memory_is_read_as_before(tmp_path):
     save_policy(Policy(build_network([6, 8, 2]), {"name": "geometric"}, {"name": "speed"}), tmp_path)
-    assert isinstance(load_driver(tmp_path), Policy) and "recurrent" not in json.loads((tmp_path / FACTS).read_text())
-
-
-def test_where_feedforward_policies_belong_it_is_refused(policy, tmp_path):
-    save_policy(policy, tmp_path)
-    with pytest.raises(PolicyError, match="the policy is recurrent") as error:
-        load_policy(tmp_path)
-    assert "\n" not in str(error.value)
+    assert isinstance(load_policy(tmp_path), Policy) and "recurrent" not in json.loads((tmp_path / FACTS).read_text())
 
 
 @pytest.mark.parametrize("layers", [[50, 16], [50, 16, 16, 2], [50, 0, 2], [50, 17, 2]])
@@ -132,24 +127,42 @@ def test_wrong_sizes_are_refused(policy, tmp_path, layers):
     save_policy(policy, tmp_path)
     (tmp_path / FACTS).write_text(json.dumps({**json.loads((tmp_path / FACTS).read_text()), "layers": layers}))
     with pytest.raises(PolicyError, match=r"3 … 3 positive sizes|does not fit"):
-        load_driver(tmp_path)
+        load_policy(tmp_path)
 
 
 def settings(*words):
     return compose_settings("train", ["algo=ppo_recurrent", "budget=smoke", "threads=1", *words])
 
 
-def test_a_trained_one_races_and_is_named(tmp_path):
-    train(settings(), tmp_path / "run")
-    assert learned(settings()) == "recurrent PPO"
-    asked = compose_settings("evaluate", [f"run={tmp_path / 'run'}", "laps=1", "seeds=[0]", "threads=1"])
-    assert evaluate(asked, tmp_path / "laps")["laps"] == 1
+def test_a_trained_one_is_refined_races_and_is_named(tmp_path):
+    asked = settings(refinement())
+    facts = train(asked, tmp_path / "run")
+    assert learned(asked) == "recurrent PPO refined" and facts["refined"] == 2
+    before, after = (load_policy(tmp_path / run).network.state_dict() for run in ("run/unrefined", "run"))
+    assert before.keys() == after.keys()
+    words = [f"run={tmp_path / 'run'}", "laps=1", "seeds=[0]", "threads=1"]
+    assert evaluate(compose_settings("evaluate", words), tmp_path / "laps")["laps"] == 1
+    onward = compose_settings("refine", [f"from={tmp_path / 'run'}", "threads=1", refinement()])
+    assert train_onward(onward, tmp_path / "onward")["refined"] == 2
+
+
+def test_walked_it_gives_what_it_gives_itself():
+    torch.manual_seed(0)
+    for network in (RecurrentNetwork(6, 8, 2), build_network([6, 8, 8, 2])):
+        own, observation = maps(network), torch.randn(5, 6)
+        memory = torch.randn(5, 8 if isinstance(network, RecurrentNetwork) else 0)
+        walked, remembered = walk(network, observation, memory, lambda i, x, own=own: linear(x, *own[i]))
+        if isinstance(network, RecurrentNetwork):
+            action, after = network(observation, memory)
+            torch.testing.assert_close(remembered, after)
+        else:
+            action = network(observation)
+        torch.testing.assert_close(walked, action)
 
 
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ([refinement()], "add budget.refinement=null"),
         (["algo.recurrent.units=0"], "algo.recurrent.units = 0"),
         (["+algo.recurrent.unit=3"], "no setting .unit."),
     ],

@@ -9,7 +9,8 @@ import torch
 
 from racerl.assemble import build_races
 from racerl.config import compose_settings
-from racerl.control.policy import UNREFINED, build_network, load_policy
+from racerl.control.networks import RecurrentNetwork, build_network, maps
+from racerl.control.policy import UNREFINED, Policy, RecurrentPolicy, load_policy
 from racerl.env.termination import Crash
 from racerl.errors import ConfigError, RunError
 from racerl.evaluate.evaluate import evaluate
@@ -39,7 +40,7 @@ PLAN = Refinement(
 )
 
 
-def search(plan=PLAN, *words, hidden=8, seed=0):
+def search(plan=PLAN, *words, hidden=8, seed=0, recurrent=False):
     settings = compose_settings("train", [*SMOKE, *words])
     torch.manual_seed(seed)
     lead, race = (
@@ -48,8 +49,12 @@ def search(plan=PLAN, *words, hidden=8, seed=0):
         )
         for times, termination in ((1, None), (2, Crash()))
     )
-    network = build_network([lead.observation.size, hidden, 2]).requires_grad_(False)
-    return Search(plan, network, lead, race, seed)
+    size = lead.observation.size
+    if recurrent:
+        policy = RecurrentPolicy(RecurrentNetwork(size, hidden, 2).requires_grad_(False), {}, {})
+    else:
+        policy = Policy(build_network([size, hidden, 2]).requires_grad_(False), {}, {})
+    return Search(plan, policy, lead, race, seed)
 
 
 def test_both_cars_of_a_pair_start_alike_in_one_world():
@@ -64,27 +69,47 @@ def test_both_cars_of_a_pair_start_alike_in_one_world():
     assert found.lead.draws.values.std() > 0.01
 
 
-def test_perturbed_actions_are_those_of_perturbed_networks():
-    found = search()
+@pytest.mark.parametrize("recurrent", [False, True])
+def test_perturbed_actions_are_those_of_perturbed_networks(recurrent):
+    found = search(recurrent=recurrent)
+    found.practice.drive()
     observation, scales = found.race.observe(), found._scales()
-    normal = [found._normal(layer, scale) for layer, scale in zip(found.linear, scales, strict=True)]
-    sizes = [torch.tensor(0.3), torch.tensor(0.2)]
-    actions = found._perturbed(observation, normal, sizes)
+    normal = found._normal(scales)
+    sizes = [torch.tensor(0.3), torch.tensor(0.2)] + [torch.tensor(0.1)] * (len(normal) - 2)
+    memory = torch.cat([found.practice.memory] * 2)
+    assert memory.shape[1] == (8 if recurrent else 0) and (not recurrent or memory.abs().max() > 0.01)
+    actions, remembered = found._perturbed(observation, memory, normal, sizes)
     for car, sign in ((4, 1.0), (4 + PLAN.pairs, -1.0)):
-        network = copy.deepcopy(found.network)
-        linear = [layer for layer in network if isinstance(layer, torch.nn.Linear)]
-        for layer, (a, b), size in zip(linear, normal, sizes, strict=True):
+        policy = copy.deepcopy(found.practice.policy)
+        for (weights, biases), (a, b), size in zip(maps(policy.network), normal, sizes, strict=True):
             change = sign * size * torch.outer(a[4], b[4])
-            layer.weight.add_(change[:, :-1])
-            layer.bias.add_(change[:, -1])
-        torch.testing.assert_close(actions[car], network(observation[car]))
+            weights.add_(change[:, :-1])
+            biases.add_(change[:, -1])
+        alone, then = policy.decide(observation[car][None], memory[car][None])
+        torch.testing.assert_close(actions[car].clamp(-1, 1), alone[0])
+        torch.testing.assert_close(remembered[car], then[0])
+
+
+def test_pairs_begin_with_what_their_car_remembers():
+    """Nothing, where its episode has just begun."""
+    found = search(replace(PLAN, episode=6, between=3), recurrent=True)
+    for _ in range(4):
+        found.practice.drive()
+    fresh = found.lead.age == 0
+    assert fresh.any() and (found.practice.memory[fresh] == 0.0).all()
+    assert found.practice.memory[~fresh].abs().max(dim=1).values.min() > 0.0
+    found._begin()
+    given, seen = found._perturbed, []
+    found._perturbed = lambda x, memory, *rest: seen.append(memory) or given(x, memory, *rest)
+    found._fitness(found._normal(found._scales()), [torch.zeros(())] * 5)
+    assert torch.equal(seen[0], torch.cat([found.practice.memory] * 2))
 
 
 def test_inputs_count_by_their_size():
     """An input a hundred times as large is perturbed a hundredth as much, so that it does not decide alone."""
     found = search()
-    sizes = torch.tensor([1.0, 100.0] + [1.0] * 10)
-    a, b = found._normal(found.linear[0], sizes)
+    sizes = torch.tensor([1.0, 100.0] + [1.0] * 49)
+    a, b = found._normal([sizes, torch.ones(9)])[0]
     assert (b * sizes).std(dim=0)[:2].tolist() == pytest.approx([1.0, 1.0], rel=0.4)
     assert a.std() == pytest.approx(1.0, rel=0.3)
 
@@ -93,10 +118,10 @@ def test_it_learns_to_go_faster():
     """A car that is driven by two numbers alone makes more of its way in a second when it speeds up."""
     plan = replace(PLAN, generations=15, pairs=64, step=[0.3, 0.3], perturbation=[0.3, 0.3], episode=20, price=0.0)
     found = search(plan, "track=oval")
-    for layer in found.linear:
-        layer.weight.zero_()
-    found.linear[0].bias.fill_(0.1)
-    found.linear[1].bias.copy_(torch.tensor([0.0, -0.2]))
+    for weights, _ in found.maps:
+        weights.zero_()
+    found.maps[0][1].fill_(0.1)
+    found.maps[1][1].copy_(torch.tensor([0.0, -0.2]))
     fitness = [found.advance()["fitness"] for _ in range(plan.generations)]
     assert fitness[-1] > 1.1 * fitness[0]
 
@@ -107,13 +132,13 @@ def test_a_crash_does_not_decide_alone(most, alike, monkeypatch):
     steps = []
     for far in (1.0, 50.0):
         found = search(replace(PLAN, most=most))
-        before = found.linear[0].weight.clone()
+        before = found.maps[0][0].clone()
         won = torch.linspace(0.05, 0.15, 2 * PLAN.pairs).roll(5)
         won[3] += far
         monkeypatch.setattr(found, "_fitness", lambda normal, sizes, won=won: won)
         found.crashed = torch.zeros(1)
         found.advance()
-        steps.append(found.linear[0].weight - before)
+        steps.append(found.maps[0][0] - before)
     assert torch.equal(*steps) == alike
 
 
@@ -122,11 +147,11 @@ def test_the_boundary_has_a_price():
     found = []
     for price, reserve in ((0.0, 0.0), (100.0, 0.0), (100.0, 0.1)):
         one = search(replace(PLAN, price=price, reserve=reserve, horizon=30), "track=oval")
-        for layer in one.linear:
-            layer.weight.zero_()
-        one.linear[1].bias.copy_(torch.tensor([0.4, 0.4]))  # bears off
+        for weights, _ in one.maps:
+            weights.zero_()
+        one.maps[1][1].copy_(torch.tensor([0.4, 0.4]))  # bears off
         one._begin()
-        normal = [one._normal(layer, scale) for layer, scale in zip(one.linear, one._scales(), strict=True)]
+        normal = one._normal(one._scales())
         found.append(one._fitness(normal, [torch.zeros(())] * 2))
     free, paid, closer = found
     assert one.crashed.any() and (paid[one.crashed] < free[one.crashed]).all()
@@ -157,7 +182,7 @@ def test_what_the_price_is_of():
         timing=one.race.timing,
         step=lambda action: next(steps),
     )
-    normal = [one._normal(layer, scale) for layer, scale in zip(one.linear, one._scales(), strict=True)]
+    normal = one._normal(one._scales())
     fitness = one._fitness(normal, [torch.zeros(())] * 2)
     drives, lies = 0.3 - 100 * 0.03 * dt, -100 * 0.25 * dt
     assert fitness[32:].tolist() == pytest.approx([20 * drives] * 32)
@@ -168,11 +193,11 @@ def test_a_start_that_ends_in_a_crash_is_tried_again():
     """Cars that steer hard leave the track; without a second try their next episode begins elsewhere."""
     for again, share in ((0.0, 0.0), (0.999, 1.0)):
         found = search(replace(PLAN, again=again, between=40, episode=10**6), "track=oval")
-        for layer in found.linear:
-            layer.weight.zero_()
-        found.linear[1].bias.copy_(torch.tensor([1.0, 0.5]))
+        for weights, _ in found.maps:
+            weights.zero_()
+        found.maps[1][1].copy_(torch.tensor([1.0, 0.5]))
         before = found.practice.starts.clone()
-        found.practice.drive(found.network)
+        found.practice.drive()
         assert (found.lead.age < 40).all()  # all have crashed
         assert (found.practice.starts == before).all(dim=0).float().mean() == share
     # and the start that counts is where the episode began
@@ -185,7 +210,7 @@ def test_a_start_that_ends_in_a_crash_is_tried_again():
 def test_a_share_of_the_pairs_begins_at_starts():
     found = search(replace(PLAN, between=6, episode=60))
     for _ in range(4):
-        found.practice.drive(found.network)
+        found.practice.drive()
         assert 0.05 < (found.lead.age == 0).float().mean() < 0.4
 
 

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from racerl import bounds
 from racerl.assemble import unlimited
-from racerl.control.policy import build_network
+from racerl.control.networks import build_network
 from racerl.env.race import Race
 from racerl.train import checkpoint
 from racerl.train.checkpoint import load_optimizer, optimizer_tensors, section

@@ -9,9 +9,8 @@ from typing import Any
 from stable_baselines3.common.callbacks import BaseCallback
 
 from racerl import bounds
-from racerl.control.policy import Policy
-from racerl.control.recurrent import RecurrentPolicy
-from racerl.errors import ConfigError, Diverged
+from racerl.control.policy import AnyPolicy
+from racerl.errors import Diverged
 from racerl.registry import construct
 from racerl.train.checkpoint import FILE, counters, keep, put_into, recover, tensors_of
 from racerl.train.drift import Drift
@@ -46,10 +45,6 @@ class Ppo:
         """Train for `budget.steps` control steps."""
         budget = Budget.of(session.settings["budget"])
         memory = self._recurrent()
-        if memory and session.settings["budget"].get("refinement") is not None:
-            raise ConfigError(
-                "algo=ppo_recurrent: the refinement takes feedforward policies only; add budget.refinement=null"
-            )
         race = session.build_races(budget.cars)
         session.start()
         build = partial(RecurrentPPO, units=memory.units) if memory else RacePPO
@@ -83,7 +78,7 @@ class Trainer(BaseCallback):
         self.session = session
         self.examined = 0  # evaluations so far
         self.between: Callable[[], None] = lambda: None
-        self.good: Policy | RecurrentPolicy  # after the last update whose weights were finite
+        self.good: AnyPolicy  # after the last update whose weights were finite
         self.good_steps = 0
 
     def _on_training_start(self) -> None:
