@@ -42,7 +42,10 @@ class Drift:
 
     def pay(self, race: Race | Races, step: Step, done: float) -> Tensor:
         """Return what the cars (N,) get for their slip after a step, in m; those that start over get nothing."""
+        worth = self.worth(done)
+        if worth == 0.0:
+            return torch.zeros_like(step.reward)
         slip = torch.atan2(race.state[V_Y].abs(), race.state[V_X].clamp(min=SLOWEST))
         weight = (self.best - (slip - self.best).abs()).clamp(min=0.0)
-        paid: Tensor = self.worth(done) * race.timing.dt * weight
+        paid: Tensor = worth * race.timing.dt * weight
         return paid.masked_fill(step.terminated | step.truncated, 0.0)
