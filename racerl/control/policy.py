@@ -117,13 +117,12 @@ def load_policy(folder: Path, device: torch.device | str = "cpu") -> AnyPolicy:
     """Read a policy; raise PolicyError when a file is missing, damaged, of another version or not finite."""
     facts = _read_facts(folder)
     about = facts["observation"], facts["action"]
-    if facts.get(RECURRENT):
-        remembering = RecurrentNetwork(*facts["layers"]).to(device)
-        _fill(remembering, folder)
-        return RecurrentPolicy(remembering, *about)
-    network = build_network(facts["layers"]).to(device)
+    sizes = facts["layers"]
+    with torch.device("meta"):  # no memory before the weights are there, however many the file speaks of
+        network = RecurrentNetwork(*sizes) if facts.get(RECURRENT) else build_network(sizes)
     _fill(network, folder)
-    return Policy(network, *about)
+    network.to(device)
+    return RecurrentPolicy(network, *about) if isinstance(network, RecurrentNetwork) else Policy(network, *about)
 
 
 def _read_facts(folder: Path) -> dict[str, Any]:
@@ -143,8 +142,9 @@ def _read_facts(folder: Path) -> dict[str, Any]:
 
 def _fill(network: nn.Module, folder: Path) -> None:
     """Give a network the weights of a folder; raise PolicyError where they do not fit or are not finite."""
+    weights = {name: tensor.float() for name, tensor in _read_weights(folder / WEIGHTS).items()}
     try:
-        network.load_state_dict(_read_weights(folder / WEIGHTS))
+        network.load_state_dict(weights, assign=True)
     except RuntimeError as error:
         raise PolicyError(
             f"{folder / WEIGHTS}: does not fit {FACTS} ({str(error).splitlines()[-1].strip()})"

@@ -46,6 +46,8 @@ def edit(folder, **changes):
         ({"layers": "many"}, "layers"),
         ({"layers": [6, -8, 2]}, "layers"),
         ({"layers": [6, 10**9, 2]}, "layers"),
+        ({"layers": [6, *[65536] * 14, 2]}, "does not fit"),
+        ({"layers": [6, 65536, 2], "recurrent": True}, "does not fit"),
         ({"observation": 3}, "observation"),
         ({"layers": [6]}, "layers"),
         ({"layers": [6.5, 2]}, "layers"),
