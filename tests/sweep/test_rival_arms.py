@@ -211,7 +211,7 @@ def test_rivals_come_behind_the_first_trainings_and_before_the_others(tmp_path):
     names = [job.name for job in plan([sweep], settings, tmp_path, compose_settings).jobs]
     rivals = {"mpc", "pure_pursuit", "optimum", "human", "human_like"}
     assert all(name.endswith("-0") for name in names[:3]) and set(names[3:8]) == rivals
-    assert [name[-2:] for name in names[8:]] == ["-1"] * 3 + ["-2"] * 3
+    assert [name[-2:] for name in names[8:]] == [f"-{seed}" for seed in (1, 2, 3, 4) for _ in range(3)]
 
 
 @pytest.mark.parametrize(

@@ -183,7 +183,7 @@ def test_a_refinement_that_diverges_leaves_the_policy_from_before(tmp_path, monk
         measures = advance(search)
         if search.generation == 2:
             with torch.no_grad():
-                search.linear[-1].bias.fill_(float("inf"))
+                search.maps[-1][1].fill_(float("inf"))
         return measures
 
     monkeypatch.setattr(Search, "advance", poisoned)
