@@ -28,7 +28,7 @@ from racerl.registry import construct
 from racerl.train.drift import Drift
 from racerl.train.normaliser import Normaliser, moments
 from racerl.train.products import fast_products
-from racerl.train.rollout import Rollout
+from racerl.train.rollout import Minibatch, Rollout
 from racerl.train.session import policy_of
 
 # greatest of the whole numbers of a budget, and least and greatest of the others
@@ -295,8 +295,8 @@ class RacePPO(PPO):
         count, resting = 0, False
         with fast_products(self.device, self.budget.bf16):
             for _ in range(self.n_epochs):
-                for batch in self._minibatches():
-                    measures, resting = self._update(batch, resting)
+                for batch, means in self._minibatches():
+                    measures, resting = self._update(batch, means, resting)
                     count += 1
                     for name, value in measures.items():
                         sums[name] = sums.get(name, torch.zeros_like(value)) + value
@@ -311,21 +311,17 @@ class RacePPO(PPO):
         self.logger.record("train/learning_rate", scheduled * self.rate_factor)
         self.logger.record("train/reward", float(self.rollout.rewards.mean()))
 
-    def _minibatches(self) -> Iterator[Any]:
-        """Yield all samples of the rollout once, in random order."""
-        return self.rollout.minibatches(self.batch_size, self.shuffle)
+    def _minibatches(self) -> Iterator[tuple[Minibatch, Tensor]]:
+        """Yield all samples of the rollout once, in random order, with the mean actions as they are by then."""
+        for batch in self.rollout.minibatches(self.batch_size, self.shuffle):
+            yield batch, self._mean(batch.observations)
 
-    def _means(self, batch: Any) -> Tensor:
-        """Return the mean actions of a minibatch."""
-        means: Tensor = self._mean(batch.observations)
-        return means
-
-    def _update(self, batch: Any, resting: bool) -> tuple[dict[str, Tensor], bool]:
+    def _update(self, batch: Minibatch, means: Tensor, resting: bool) -> tuple[dict[str, Tensor], bool]:
         """Take one gradient step, of the critic alone while the actor rests.
 
         Return its measures, as tensors so that nothing waits for them, and whether the actor now rests.
         """
-        log_prob = self._log_prob(self._means(batch), batch.actions)
+        log_prob = self._log_prob(means, batch.actions)
         log_ratio = log_prob - batch.log_probs
         ratio = log_ratio.exp()
         divergence = (ratio - 1 - log_ratio).mean().detach()

@@ -6,7 +6,7 @@ through time), and cut where an episode ends. The critic remembers nothing; with
 
 import copy
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -17,19 +17,7 @@ from racerl.env.observations import settings_of
 from racerl.env.race import Race
 from racerl.env.races import Races
 from racerl.train.ppo import Budget, RacePPO
-
-
-class Sequences(NamedTuple):
-    """Rollouts of B cars for one gradient step, each (T, B, …); `memory` (B, U) is that at their beginning."""
-
-    observations: Tensor
-    actions: Tensor
-    log_probs: Tensor
-    advantages: Tensor
-    returns: Tensor
-    privileged: Tensor
-    begun: Tensor
-    memory: Tensor
+from racerl.train.rollout import Minibatch
 
 
 class RecurrentPPO(RacePPO):
@@ -90,16 +78,13 @@ class RecurrentPPO(RacePPO):
         means = self._mean.unroll(rollout.observations, self._begun, self._first)
         rollout.log_probs.copy_(self._log_prob(means, rollout.actions))
 
-    def _minibatches(self) -> Iterator[Sequences]:
-        """Yield the rollouts of all cars once, in random order; a smaller remainder is left out."""
+    def _minibatches(self) -> Iterator[tuple[Minibatch, Tensor]]:
+        """Yield the rollouts of all cars once, in random order, each (T, B, …); a smaller remainder is left out."""
         rollout = self.rollout
         order = torch.randperm(rollout.cars, generator=self.shuffle).to(self.device)
         size = min(max(1, self.batch_size // rollout.steps), rollout.cars)
-        tables = (*rollout.tables, self._begun)
         for first in range(0, rollout.cars - size + 1, size):
             chosen = order[first : first + size]
-            own = [table.index_select(1, chosen) for table in tables]
-            yield Sequences._make([*own, self._first.index_select(0, chosen)])
-
-    def _means(self, batch: Sequences) -> Tensor:
-        return self._mean.unroll(batch.observations, batch.begun, batch.memory)
+            batch = Minibatch(*(table.index_select(1, chosen) for table in rollout.tables))
+            begun, memory = self._begun.index_select(1, chosen), self._first.index_select(0, chosen)
+            yield batch, self._mean.unroll(batch.observations, begun, memory)

@@ -8,7 +8,7 @@ from torch import Tensor
 
 
 class Minibatch(NamedTuple):
-    """Samples for one gradient step, each (B, …)."""
+    """Samples for one gradient step, each (B, …); whole rollouts of B cars, (T, B, …), where a policy remembers."""
 
     observations: Tensor
     actions: Tensor

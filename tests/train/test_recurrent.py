@@ -57,8 +57,7 @@ def test_what_it_learns_from_is_what_it_drove_by():
     assert model._first.abs().max() > 0.01 and 0 < model._begun.float().mean() < 0.2
     model.collect_rollouts(model.env, model._init_callback(None), model.rollout_buffer, model.n_steps)
     kept = torch.stack(driven)
-    for batch in model._minibatches():
-        means = model._means(batch)
+    for batch, means in model._minibatches():
         # judged by products that may be of bf16
         assert torch.allclose(model._log_prob(means, batch.actions), batch.log_probs, atol=5e-3)
     unrolled = model._mean.unroll(model.rollout.observations, model._begun, model._first)
