@@ -7,6 +7,7 @@ it sees is computed by the observation that it was trained with.
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -49,6 +50,11 @@ class Order(NamedTuple):
     delta_ref: float  # rad
     drive_ref: float  # m/s or A
     why: str
+
+
+def as_modelled(names: Sequence[str]) -> Tensor:
+    """Return by which shares the car's parameters are known to differ from its model's, (1, P): by none."""
+    return torch.zeros(1, len(names))
 
 
 @dataclass(frozen=True)
@@ -119,7 +125,7 @@ class Pilot:
         if not self._driving:
             self._past = filled(state, last, self.observation.memory)
             self._memory = torch.zeros(1, self.policy.units)
-        view = View(state, place, last, rate, self._past, self.frame, self.action, self._constant)
+        view = View(state, place, last, rate, self._past, self.frame, self.action, self._constant, as_modelled)
         action, self._memory = self.policy.decide(scaled(self.observation, view), self._memory)
         command = self.action.command(action, last, self.period)
         self._driving = True

@@ -8,6 +8,7 @@ All arrays are tensors of shape (N,) unless said otherwise.
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, NamedTuple
 
 import torch
@@ -130,6 +131,7 @@ class View(Rows):
     frame: FrenetFrame
     action: Action
     constant: Callable[[Sequence[float]], Tensor]
+    off: Callable[[Sequence[str]], Tensor]  # shares by which parameters (P) of the cars differ from the model's, (N, P)
 
     @classmethod
     def of(cls, race: "Race", chosen: Chosen | None) -> "View":
@@ -137,7 +139,7 @@ class View(Rows):
         tensors = (*race.seen(), race.command, race.command_rate, race.past)
         if chosen is not None:
             tensors = tuple(map(chosen.take, tensors))  # type: ignore[assignment]
-        return cls(*tensors, race.frame, race.action, race.constant)
+        return cls(*tensors, race.frame, race.action, race.constant, partial(race.draws.off, chosen=chosen))
 
 
 @dataclass

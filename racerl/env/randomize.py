@@ -73,7 +73,8 @@ class ParameterDraws:
         scaled = randomization.names(vehicle) if randomization.sigma > 0 else []
         possible = read_cars(Path(randomization.cars), vehicle) if randomization.cars else {}
         self.names = [*possible, *(name for name in scaled if name not in possible)]
-        nominal, bounds = values(vehicle), specifications(vehicle)
+        self._known = nominal = values(vehicle)
+        bounds = specifications(vehicle)
 
         def column(numbers: Sequence[float]) -> Tensor:
             return torch.tensor(numbers, device=device, dtype=dtype)[:, None]
@@ -95,6 +96,19 @@ class ParameterDraws:
         """Return how far each car's parameters lie from the middle of all, in standard deviations, (N, P)."""
         shares = (self.values - self._middle) / self._spread
         return shares.clamp(-FARTHEST, FARTHEST).T
+
+    def off(self, names: Sequence[str], chosen: Chosen | None = None) -> Tensor:
+        """Return by which shares parameters of all cars, or of some, differ from the vehicle's own, (N, P).
+
+        Raises ConfigError for a name that is none of the vehicle's.
+        """
+        for name in names:
+            if name not in self._known:
+                raise ConfigError(f"obs.parameters: the vehicle has no '{name}'{suggest(name, self._known)}")
+        drawn = self.values if chosen is None else chosen.take(self.values)
+        shares = dict(zip(self.names, drawn / self._nominal - 1.0, strict=True))
+        as_modelled = drawn.new_zeros(drawn.shape[1])
+        return torch.stack([shares.get(name, as_modelled) for name in names], dim=1)
 
     def draw(self, chosen: Chosen, dice: Dice) -> None:
         """Draw new parameters for some cars."""

@@ -7,7 +7,9 @@ import torch
 
 from racerl import registry
 from racerl.env import actions, observations
+from racerl.env.chosen import Numbered
 from racerl.errors import ConfigError
+from racerl.vehicle.parameter import values
 from tests.env.test_race import make, place
 
 
@@ -127,3 +129,32 @@ def test_every_module_is_found_and_builds(package):
 def test_wrong_settings_are_named(settings, said):
     with pytest.raises(ConfigError, match=said):
         registry.create(observations, settings)
+
+
+def test_privileged_tells_by_how_much_the_car_differs_from_its_model():
+    race = make("obs=privileged", "dr=all_0.1", "dr.sigma=0.2", cars=3)
+    names, own = race.observation.parameters, dict(zip(race.draws.names, race.draws.values, strict=True))
+    assert set(names) == set(own) and race.observe().shape == (3, 50 + len(names))
+    nominal = values(race.vehicle)
+    expected = torch.stack([10 * (own[name] / nominal[name] - 1) for name in names], dim=1)
+    torch.testing.assert_close(race.observe()[:, 50:], expected)
+    assert expected.abs().max() > 1  # the cars do differ
+    told = race.observe()
+    race.restart(torch.tensor([False, True, False]))
+    again = race.observe()
+    assert torch.equal(again[[0, 2], 50:], told[[0, 2], 50:]) and not torch.equal(again[1, 50:], told[1, 50:])
+
+
+def test_privileged_tells_a_single_car_the_same_as_beside_others():
+    race = make("obs=privileged", "dr=all_0.1", cars=3)
+    one = race.observe(Numbered(torch.tensor([2])))
+    torch.testing.assert_close(one, race.observe()[2:])
+
+
+def test_privileged_tells_nothing_of_a_car_that_is_as_modelled():
+    race = make("obs=privileged", cars=2)
+    assert torch.equal(race.observe()[:, 50:], torch.zeros(2, 18))
+    with pytest.raises(ConfigError, match="no 'grip'"):
+        make("obs=privileged", "obs.parameters=[grip]").observe()
+    with pytest.raises(ConfigError, match="parameters = "):
+        make("obs=privileged", "obs.parameters=[]")
