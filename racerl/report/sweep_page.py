@@ -21,7 +21,7 @@ from racerl.run import RunFolder
 from racerl.sweep.conclusions import POLICIES, banner, grouped, headline, of
 from racerl.sweep.definition import METRICS, OF_TRAINING, TWIN
 from racerl.sweep.jobs import policies
-from racerl.sweep.statistics import power, told
+from racerl.sweep.statistics import power, told, was_tested
 from racerl.sweep.sweep import of_policy
 from racerl.sweep.tables import LAPS, LEARNING, RESULTS, STEERING, TRAININGS, read_table
 
@@ -282,10 +282,10 @@ def _test(test: dict[str, Any]) -> dict[str, Any]:
     return {
         "sentence": _sentence(test, shown, between, unit),
         "wanted": wanted,
-        "outcome": outcome[test["holds"]] if effect is not None else f"not tested, {test['why']}",
+        "outcome": outcome[test["holds"]] if was_tested(test) else f"not tested, {test['why']}",
         "plot": Markup("") if shown is None else draw_interval(shown, between, limit, unit),
         "formula": _formula(test),
-        "seeds": f"{test['agreeing']} of {test['seeds']}" if effect is not None else "",
+        "seeds": f"{test['agreeing']} of {test['seeds']}" if was_tested(test) else "",
         "one_lap": ", ".join(map(_words, test["one_lap"])),
     }
 
@@ -310,7 +310,8 @@ def _sentence(test: dict[str, Any], effect: float | None, ci95: Sequence[float] 
         said = f"the {name} {ours} {'against' if effect is None else 'equals'} that {theirs}"
     else:
         said = f"the {name} {ours} is {abs(effect):.3g} {unit} {'above' if effect > 0 else 'below'} that {theirs}"
-    sentence = f"{where}{said}{sure}"
+    slow = "".join(f"; not every training of {_quoted(arm)} has such a lap" for arm in test.get("lapless", ()))
+    sentence = f"{where}{said}{sure}{slow}"
     return sentence[0].upper() + sentence[1:]
 
 

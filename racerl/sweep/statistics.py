@@ -4,7 +4,8 @@ Trainings (seeds) are drawn with replacement, the same ones for all arms; inside
 arms; inside each start its laps. What is not trained has starts and laps alone. A metric is taken per training and
 averaged over them. A claim is supported where the 95 % interval of every test's contrast lies on the claimed side,
 refuted where one lies on the other side, not tested where no test has what it needs, and undecided otherwise. Nothing
-is decided by arms that were trained once, by intervals without width, or by trainings of a trial budget.
+is decided by arms that were trained once, by intervals without width, or by trainings of a trial budget. A training
+without a lap to take a time from counts as slower than the others of its arm; an arm without any is not tested.
 """
 
 import math
@@ -23,6 +24,7 @@ Array = NDArray[np.float64]
 RESAMPLES = 1000
 LEVEL = 0.95
 TRIAL = "trial budget"
+BEYOND = 1e12  # of any metric: ∞
 MANY = 100  # trainings of an arm, more than which nobody makes for one claim
 VERDICTS = ("supported", "refuted", "undecided", "not tested")
 MEASURES = ("time_s", "e_off", "off_track_m", "crashed", "valid", "turn_in_m")
@@ -39,7 +41,7 @@ class Samples:
     laps: Mapping[str, int]  # arm → laps driven
 
     def value(self, arm: str, metric: str) -> float:
-        """Return an arm's metric, averaged over trainings; NaN where one has none."""
+        """Return an arm's metric, averaged over trainings; NaN where one has none, ∞ where one has no lap to time."""
         return float(np.mean(self.per_seed[arm][metric]))
 
     def shared(self, arms: Iterable[str], metric: str) -> dict[str, Array]:
@@ -55,8 +57,9 @@ class Samples:
         return min(counts, default=None)
 
     def interval(self, arm: str, metric: str) -> list[float] | None:
-        """Return its 95 % interval; None where too few resamples have a value."""
-        return spread(self.resampled[arm][metric])
+        """Return its 95 % interval; None where too few resamples have a value, or where it has no end."""
+        interval = spread(self.resampled[arm][metric])
+        return interval if interval and all(map(math.isfinite, interval)) else None
 
 
 def resample(laps: pd.DataFrame, rewards: pd.DataFrame, generator: np.random.Generator) -> Samples:
@@ -106,14 +109,14 @@ def resample(laps: pd.DataFrame, rewards: pd.DataFrame, generator: np.random.Gen
 
 
 def _metrics(laps: Array) -> dict[str, float]:
-    """Return the metrics of laps (L, 6) in the order of MEASURES; NaN where there is none to take it from."""
+    """Return the metrics of laps (L, 6) in the order of MEASURES; without any to take it from NaN, a time ∞."""
     time, e_off, off, crashed, valid, lead = laps.T
     if not len(laps):  # a car that creeps is given up before its first
         return {name: math.nan for name in METRICS if name not in OF_TRAINING}
     timed, clean, led = time[~np.isnan(time)], time[valid > 0.5], lead[~np.isnan(lead)]
     return {
-        "lap_time": float(timed.mean()) if len(timed) else math.nan,
-        "fastest": float(clean.min()) if len(clean) else math.nan,
+        "lap_time": float(timed.mean()) if len(timed) else math.inf,
+        "fastest": float(clean.min()) if len(clean) else math.inf,
         "e_off": float(e_off.mean()),
         "crash_share": float(crashed.mean()),
         "valid_share": float(valid.mean()),
@@ -131,8 +134,10 @@ def spread(values: Array) -> list[float] | None:
     known = values[~np.isnan(values)]
     if not len(values) or len(known) < 0.9 * len(values):
         return None
-    low, high = np.quantile(known, [(1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0])
-    return [float(low), float(high)]
+    ends = [(1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0]
+    # between a number and ∞ lies ∞
+    low, high = np.quantile(np.clip(known, -BEYOND, BEYOND), ends)
+    return [float(each) if abs(each) < 0.01 * BEYOND else math.copysign(math.inf, each) for each in (low, high)]
 
 
 def judge(claim: Claim, sweep: Sweep, samples: Mapping[str, Samples], trial: bool = False) -> dict[str, Any]:
@@ -158,8 +163,13 @@ def weigh(tests: Sequence[Mapping[str, Any]]) -> tuple[str, str]:
     reasons = dict.fromkeys(test["why"] for test in tests if test["why"])
     if most := max((test.get("needed") or 0 for test in tests), default=0):
         reasons[power(most)] = None
-    tested = any(test["effect"] is not None for test in tests)
+    tested = any(was_tested(test) for test in tests)
     return "undecided" if tested else "not tested", "; ".join(reasons)
+
+
+def was_tested(test: Mapping[str, Any]) -> bool:
+    """Return whether a test had what it needs."""
+    return test["effect"] is not None or bool(test.get("lapless"))
 
 
 def told(claim: Mapping[str, Any]) -> str:
@@ -173,7 +183,8 @@ def obstacle(interval: Sequence[float] | None, trainings: int | None) -> str:
         return f"{trainings} training{'s' * (trainings != 1)}"
     if interval is None:
         return "no value in some resamples"
-    return "an interval without width" if math.isclose(*interval, rel_tol=1e-9, abs_tol=1e-12) else ""
+    same = math.isfinite(interval[0]) and math.isclose(*interval, rel_tol=1e-9, abs_tol=1e-12)
+    return "the same in every lap" if same else ""
 
 
 def needed(effect: float, interval: Sequence[float], limit: Mapping[str, float], trainings: int) -> int:
@@ -212,6 +223,7 @@ def _test(test: Comparison, sweep: Sweep, samples: Mapping[str, Samples]) -> dic
         "agreeing": 0,
         "holds": None,
         "one_lap": [],
+        "lapless": [],
         "why": "",
         "needed": None,
     }
@@ -222,15 +234,21 @@ def _test(test: Comparison, sweep: Sweep, samples: Mapping[str, Samples]) -> dic
     effect = contrast(test, {arm: np.array([mine.value(arm, test.metric)]) for arm in test.arms})[0]
     interval = spread(contrast(test, {arm: mine.resampled[arm][test.metric] for arm in test.arms}))
     facts["seeds"] = len(mine.seeds)
-    if math.isnan(effect):
-        lacking = [arm for arm in sorted(test.arms) if math.isnan(mine.value(arm, test.metric))]
+    lacking = [arm for arm in sorted(test.arms) if not np.isfinite(mine.per_seed[arm][test.metric]).any()]
+    if lacking or math.isnan(effect):
+        lacking = lacking or [arm for arm in sorted(test.arms) if math.isnan(mine.value(arm, test.metric))]
         return {**facts, "why": f"{METRICS[test.metric].name}: none for {_listed(lacking)}"}
     single = contrast(test, mine.shared(test.arms, test.metric))
     facts["one_lap"] = sorted(arm for arm in test.arms if mine.laps[arm] == 1)  # taken as if it were exact
     facts["agreeing"] = sum(test.holds(float(value), float(value)) is True for value in single)
+    facts["lapless"] = [arm for arm in sorted(test.arms) if math.isinf(mine.value(arm, test.metric))]
     trainings = mine.trainings(test.arms)
     why = obstacle(interval, trainings)
     holds = None if why or interval is None else test.holds(*interval)
+    if why and trainings != 1:
+        why = f"{METRICS[test.metric].name}: {why}"
+    if facts["lapless"]:  # no number says how much slower that is
+        return {**facts, "holds": holds, "why": why or f"{_listed(facts['lapless'])}: trainings without such a lap"}
     if holds is None and not why and interval and trainings:
         facts["needed"] = needed(effect, interval, test.limit, trainings)
     return {**facts, "effect": float(effect), "ci95": interval, "holds": holds, "why": why}

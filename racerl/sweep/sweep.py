@@ -252,7 +252,7 @@ def _samples(laps: pd.DataFrame, trained: pd.DataFrame, cars: Sequence[str]) -> 
 
 def _metrics(samples: Samples, arm: str) -> dict[str, Any]:
     return {
-        name: {"value": None if math.isnan(value) else value, "ci95": samples.interval(arm, name)}
+        name: {"value": value if math.isfinite(value) else None, "ci95": samples.interval(arm, name)}
         for name in samples.per_seed[arm]
         for value in [samples.value(arm, name)]
     }

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -100,6 +101,20 @@ def test_what_was_never_finished_leaves_a_claim_open():
     assert found["verdict"] == "not tested" and "none for b" in found["tests"][0]["why"]
 
 
+@pytest.mark.parametrize(("difference", "expected"), [(0.2, "supported"), (-0.2, "undecided")])
+def test_a_training_without_a_lap_to_time_is_slower_than_the_others(difference, expected):
+    laps, trainings = driven({"a": 5.5, "b": 5.5 + difference})
+    laps.loc[(laps["arm"] == "b") & (laps["seed"] == 1), "valid"] = False
+    fastest = replace(SLOWER, metric="fastest")
+    found = verdict(fastest, laps, trainings)
+    assert found["verdict"] == expected  # against b: all that resamples without it say, else only its failure
+    test = found["tests"][0]
+    assert test["lapless"] == ["b"] and test["effect"] is None and test["ci95"] is None
+    assert resample(laps, trainings, np.random.default_rng(0)).interval("b", "fastest") is None
+    laps.loc[laps["arm"] == "b", "valid"] = False
+    assert verdict(fastest, laps, trainings)["verdict"] == "not tested"
+
+
 def test_what_was_never_driven_leaves_a_claim_open():
     found = verdict(Comparison(metric="lap_time", contrast={"a": 1.0, "mpc": -1.0}, below=0.0), *driven({"a": 5.5}))
     assert found["verdict"] == "not tested" and found["tests"][0]["why"] == "mpc has not been driven"
@@ -127,7 +142,7 @@ def test_the_least_trained_arm_counts_and_what_is_not_trained_does_not():
 @pytest.mark.parametrize("difference", [0.2, -0.2])
 def test_an_interval_without_width_decides_nothing(difference):
     found = verdict(SLOWER, *driven({"a": 5.5, "b": 5.5 + difference}, seed_spread=0.0, lap_spread=0.0))
-    assert told(found) == "undecided, an interval without width" and found["tests"][0]["holds"] is None
+    assert told(found) == "undecided, mean lap: the same in every lap" and found["tests"][0]["holds"] is None
 
 
 @pytest.mark.parametrize("difference", [0.2, -0.2])
