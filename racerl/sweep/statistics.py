@@ -58,8 +58,7 @@ class Samples:
 
     def interval(self, arm: str, metric: str) -> list[float] | None:
         """Return its 95 % interval; None where too few resamples have a value, or where it has no end."""
-        interval = spread(self.resampled[arm][metric])
-        return interval if interval and all(map(math.isfinite, interval)) else None
+        return ended(spread(self.resampled[arm][metric]))
 
 
 def resample(laps: pd.DataFrame, rewards: pd.DataFrame, generator: np.random.Generator) -> Samples:
@@ -138,6 +137,11 @@ def spread(values: Array) -> list[float] | None:
     # between a number and ∞ lies ∞
     low, high = np.quantile(np.clip(known, -BEYOND, BEYOND), ends)
     return [float(each) if abs(each) < 0.01 * BEYOND else math.copysign(math.inf, each) for each in (low, high)]
+
+
+def ended(interval: list[float] | None) -> list[float] | None:
+    """Return an interval that has two ends, else None."""
+    return interval if interval and all(map(math.isfinite, interval)) else None
 
 
 def judge(claim: Claim, sweep: Sweep, samples: Mapping[str, Samples], trial: bool = False) -> dict[str, Any]:
@@ -251,7 +255,7 @@ def _test(test: Comparison, sweep: Sweep, samples: Mapping[str, Samples]) -> dic
         return {**facts, "holds": holds, "why": why or f"{_listed(facts['lapless'])}: trainings without such a lap"}
     if holds is None and not why and interval and trainings:
         facts["needed"] = needed(effect, interval, test.limit, trainings)
-    return {**facts, "effect": float(effect), "ci95": interval, "holds": holds, "why": why}
+    return {**facts, "effect": float(effect), "ci95": ended(interval), "holds": holds, "why": why}
 
 
 def _listed(arms: Sequence[str]) -> str:
@@ -260,6 +264,7 @@ def _listed(arms: Sequence[str]) -> str:
 
 def contrast(test: Comparison, metrics: Mapping[str, Array]) -> Array:
     """Return the contrast of a test from metrics per arm, elementwise."""
-    # what is not trained has one value beside those of the seeds
-    total = sum((weight * metrics[arm] for arm, weight in test.weights.items()), np.zeros(1))
-    return total / metrics[test.relative_to] if test.relative_to else total
+    with np.errstate(invalid="ignore"):  # ∞ − ∞: no value
+        # what is not trained has one value beside those of the seeds
+        total = sum((weight * metrics[arm] for arm, weight in test.weights.items()), np.zeros(1))
+        return total / metrics[test.relative_to] if test.relative_to else total

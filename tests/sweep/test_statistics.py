@@ -115,6 +115,14 @@ def test_a_training_without_a_lap_to_time_is_slower_than_the_others(difference, 
     assert verdict(fastest, laps, trainings)["verdict"] == "not tested"
 
 
+def test_the_only_lap_to_time_leaves_an_interval_without_an_end():
+    laps, trainings = driven({"a": 5.5, "b": 5.7})
+    laps.loc[(laps["arm"] == "b") & ((laps["number"] > 0) | (laps["start"] > 0)), "valid"] = False
+    found = verdict(replace(SLOWER, metric="fastest"), laps, trainings)
+    test = found["tests"][0]  # each training's only clean lap is missed by a third of the resamples and more
+    assert found["verdict"] == "supported" and test["ci95"] is None and test["effect"] == pytest.approx(0.2, abs=0.05)
+
+
 def test_what_was_never_driven_leaves_a_claim_open():
     found = verdict(Comparison(metric="lap_time", contrast={"a": 1.0, "mpc": -1.0}, below=0.0), *driven({"a": 5.5}))
     assert found["verdict"] == "not tested" and found["tests"][0]["why"] == "mpc has not been driven"
