@@ -238,14 +238,14 @@ def _test(test: Comparison, sweep: Sweep, samples: Mapping[str, Samples]) -> dic
     effect = contrast(test, {arm: np.array([mine.value(arm, test.metric)]) for arm in test.arms})[0]
     interval = spread(contrast(test, {arm: mine.resampled[arm][test.metric] for arm in test.arms}))
     facts["seeds"] = len(mine.seeds)
-    lacking = [arm for arm in sorted(test.arms) if not np.isfinite(mine.per_seed[arm][test.metric]).any()]
-    if lacking or math.isnan(effect):
-        lacking = lacking or [arm for arm in sorted(test.arms) if math.isnan(mine.value(arm, test.metric))]
+    values = {arm: mine.per_seed[arm][test.metric] for arm in sorted(test.arms)}
+    lacking = [arm for arm, each in values.items() if np.isnan(each).any() or np.isinf(each).all()]
+    if lacking:
         return {**facts, "why": f"{METRICS[test.metric].name}: none for {_listed(lacking)}"}
     single = contrast(test, mine.shared(test.arms, test.metric))
     facts["one_lap"] = sorted(arm for arm in test.arms if mine.laps[arm] == 1)  # taken as if it were exact
     facts["agreeing"] = sum(test.holds(float(value), float(value)) is True for value in single)
-    facts["lapless"] = [arm for arm in sorted(test.arms) if math.isinf(mine.value(arm, test.metric))]
+    facts["lapless"] = [arm for arm, each in values.items() if np.isinf(each).any()]
     trainings = mine.trainings(test.arms)
     why = obstacle(interval, trainings)
     holds = None if why or interval is None else test.holds(*interval)

@@ -111,6 +111,9 @@ def test_a_training_without_a_lap_to_time_is_slower_than_the_others(difference, 
     test = found["tests"][0]
     assert test["lapless"] == ["b"] and test["effect"] is None and test["ci95"] is None
     assert resample(laps, trainings, np.random.default_rng(0)).interval("b", "fastest") is None
+    laps.loc[(laps["arm"] == "a") & (laps["seed"] == 1), "valid"] = False  # nor has the other
+    both = verdict(fastest, laps, trainings)
+    assert both["verdict"] == "undecided" and both["tests"][0]["lapless"] == ["a", "b"]
     laps.loc[laps["arm"] == "b", "valid"] = False
     assert verdict(fastest, laps, trainings)["verdict"] == "not tested"
 
