@@ -223,3 +223,6 @@ def test_a_reference_page_agrees_with_its_results(name):
     for claim in facts["claims"]:
         assert (claim["verdict"], claim["why"]) == weigh(claim["tests"])
         assert f"<b>{told(claim)}</b>" in page
+    lapless = {arm for claim in facts["claims"] for test in claim["tests"] for arm in test["lapless"]}
+    assert lapless == ({"without_actuators"} if name == "ablations" else set())
+    assert ("not every training of “without actuators” has such a lap" in page) == bool(lapless)
