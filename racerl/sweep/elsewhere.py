@@ -1,7 +1,8 @@
 """Jobs that another sweep has finished, on another machine or another day: their rows stand in for those of this one.
 
 A job's name ends with a hash of all its settings and of the files that they name, so only what was trained with the
-very same ones counts. Its laps must have been raced from the same starts, as far, and in all cars that are asked for.
+very same ones counts, whatever its arm and its sweep were called. Its laps must have been raced from the same starts,
+as far, and in all cars that are asked for.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -98,19 +99,20 @@ def _require_alike(name: str, run: RunFolder, ours: Mapping[str, Any], planned: 
 def _tables(folder: Path, jobs: Mapping[Key, str]) -> dict[Key, Tables]:
     """Return the tables of the planned keys whose job a sweep's folder has finished."""
     try:
-        trainings = read_table(folder / TRAININGS)
-        others = {
+        tables = {
             name: dict(list(read_table(folder / name).groupby(KEY)))
-            for name in (LAPS, LEARNING, STEERING)
+            for name in (TRAININGS, LAPS, LEARNING, STEERING)
             if (folder / name).is_file()
         }
-        own = {key: rows for key, rows in trainings.groupby(KEY) if jobs.get(key) == identity(rows["job"].iloc[0])}
+        known = {identity(rows["job"].iloc[0]): key for key, rows in tables[TRAININGS].items()}
         return {
             key: {
-                TRAININGS: rows,
-                **{name: parts[key] for name, parts in others.items() if key in parts},
+                name: parts[known[job]].assign(**dict(zip(KEY, key, strict=True)))
+                for name, parts in tables.items()
+                if known[job] in parts
             }
-            for key, rows in own.items()
+            for key, job in jobs.items()
+            if job in known
         }
     except (KeyError, OSError, ValueError) as error:
         raise RunError(f"also = {folder}: is damaged ({' '.join(str(error).split())}); sweep there again") from error

@@ -107,6 +107,17 @@ def test_what_another_sweep_finished_stands_in_for_the_same_jobs(planned, tmp_pa
     assert facts["jobs"] == {"planned": 3, "done": 3} and facts["also"] == list(found.origins)
 
 
+def test_the_same_job_under_another_name_stands_in(planned, tmp_path):
+    arms = {"a_driver": planned.sweeps[0].arms["human_like"]}
+    other = dataclasses.replace(planned, sweeps=[dataclasses.replace(planned.sweeps[0], name="mine", arms=arms)])
+    again, found = elsewhere(other, tmp_path)
+    assert found.has(again) == {"a_driver"}
+    ours, theirs = gather(again, 1, found.tables)[LAPS], gather(planned, 1)[LAPS]
+    theirs = theirs[theirs["arm"] == "human_like"]
+    assert set(ours["arm"]) == {"a_driver"} and set(ours["sweep"]) == {"mine"}
+    assert ours["time_s"].tolist() == pytest.approx(theirs["time_s"].tolist(), rel=1e-5)  # as tables keep them
+
+
 def test_jobs_with_other_words_are_not_the_same(planned, tmp_path):
     arms = dict(planned.sweeps[0].arms) | {"human_like": ("drive=human_like", "drive.block=30")}
     other = dataclasses.replace(planned, sweeps=[dataclasses.replace(planned.sweeps[0], arms=arms)])
