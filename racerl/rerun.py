@@ -31,7 +31,7 @@ from racerl.sweep.sweep import sweep
 from racerl.sweep.tables import TRAININGS as TABLE
 from racerl.train.checkpoint import FILE as TRAINING
 from racerl.train.close import close
-from racerl.train.refinement import FILE as REFINING
+from racerl.train.improve import FILE as IMPROVING
 from racerl.train.session import PROGRESS
 from racerl.train.train import train
 from racerl.tune.tune import tune
@@ -57,7 +57,7 @@ COMMANDS = {"gap plan": "gap"}  # whose keys a stage has, where they are not its
 CLOCK = {"seconds", "training_s", "clean_after_s", "git_sha", "run", "run_id"}  # keys that no two runs share
 SKIPPED_FOLDERS = {"tensorboard", "logs", "checkpoint"}
 SKIPPED = {MANIFEST, CONFIG, "state.json", RESULT, FAILED}
-CHECKPOINTS = (TRAINING, REFINING)  # that a run which was killed at its very end has left
+CHECKPOINTS = (TRAINING, IMPROVING)  # that a run which was killed at its very end has left
 ARRIVALS = re.compile(r"to_\d+")  # seconds until a lap was so near the optimum
 SKIPPED_SUFFIXES = {".html", ".svg"}
 MACHINE = ("racerl", "git_sha", "uncommitted", "python", "libraries", "cpu", "threads", "device")

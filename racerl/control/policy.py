@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 FORMAT = 1
 WEIGHTS, FACTS = "policy.safetensors", "policy.json"
 UNREFINED = "unrefined"  # folder, in a training's, of its policy as it was before the refinement
+IMPROVEMENTS = ("refinement", "ascent")  # a budget's keys for what a training ends with, one of them or none
 MAX_WEIGHTS_BYTES = 256 * 1024 * 1024
 MAX_LAYERS, MAX_UNITS = 16, 65536
 RECURRENT = "recurrent"  # key of the facts of a policy that remembers
@@ -94,6 +95,11 @@ class RecurrentPolicy:
 
 
 AnyPolicy = Policy | RecurrentPolicy
+
+
+def improved_by(budget: Mapping[str, Any]) -> str:
+    """Return the key of a budget by which policies are improved in the end; "" where they are not."""
+    return next((key for key in IMPROVEMENTS if budget.get(key) is not None), "")
 
 
 def save_policy(policy: AnyPolicy, folder: Path, **facts: Any) -> None:

@@ -263,6 +263,18 @@ class Race(Rows):
             observation = chosen.put(final.T, self.observe(chosen).T).T
         return Step(observation, reward, ended, truncated, final, progress, command, margin, faulty)
 
+    def drive_on(self, action: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Drive all cars for one control step with actions (N, 2), differentiably; none of them starts over.
+
+        Returns the progress in m, the margin in m and the cars whose episode would end, (N,) each. What those do from
+        then on has no gradient by what they did before.
+        """
+        self._apply(action)
+        progress, faulty = self._move()
+        ended = self.termination(self) | faulty
+        self.state = torch.where(ended, self.state.detach(), self.state)
+        return progress, self.margin, ended
+
     def _apply(self, action: Tensor) -> None:
         last = self.command
         if self.randomization.actions:
@@ -298,7 +310,7 @@ class Race(Rows):
     def _move(self) -> tuple[Tensor, Tensor]:
         """Integrate and project; return the progress in m and the cars whose state or place is none of this world."""
         if self.waits:
-            self.box.note(self.state, self.command, self.age)
+            self.box.note(self.state.detach(), self.command.detach(), self.age)
         moved, faulty = self.driven(), self._nobody
         if not self.waits or not bool(moved.abs().amax() < LARGEST):
             faulty = self._fail(~(moved.abs() < LARGEST).all(dim=0))

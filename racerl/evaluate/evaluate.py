@@ -11,7 +11,7 @@ import torch
 
 from racerl import bounds
 from racerl.assemble import Car, build_race, check_settings, choose_device, unlimited, use_threads
-from racerl.control.policy import FACTS, UNREFINED, load_policy
+from racerl.control.policy import FACTS, UNREFINED, improved_by, load_policy
 from racerl.documents import read_json
 from racerl.env.race import Race
 from racerl.env.randomize import Randomization
@@ -27,6 +27,7 @@ from racerl.registry import construct
 from racerl.run import MANIFEST, RunFolder
 
 ONWARD = ", refined on"  # in another world than it was learned in
+REFINED = {"": "", "refinement": " refined", "ascent": " refined by its gradient"}
 OVERRIDABLE = ("vehicle", "track", "sim", "dr")
 
 
@@ -154,13 +155,13 @@ def learned(settings: Mapping[str, Any]) -> str:
     algorithm, budget = settings.get("algo"), settings.get("budget")
     if not isinstance(algorithm, Mapping) or not isinstance(name := algorithm.get("name"), str):
         return ""
-    refined = isinstance(budget, Mapping) and bool(budget.get("refinement"))
+    refined = improved_by(budget) if isinstance(budget, Mapping) else ""
     if name == "trained":
         before = str(algorithm.get("learned"))
         return before.removesuffix(ONWARD) + ONWARD if refined else before
     by = ("PPO" if name == "ppo" else name) + (" drifting first" if algorithm.get("drift") else "")
     by = ("recurrent " if algorithm.get("recurrent") else "") + by
-    return by + (" with a privileged critic" if algorithm.get("privileged") else "") + (" refined" if refined else "")
+    return by + (" with a privileged critic" if algorithm.get("privileged") else "") + REFINED[refined]
 
 
 def seeds_of(value: Any) -> list[int]:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from racerl.control.policy import UNREFINED
+from racerl.control.policy import UNREFINED, improved_by
 from racerl.run import Compose, config_hash, is_complete
 from racerl.sweep.definition import Sweep
 from racerl.track.folder import OTHERS
@@ -132,7 +132,7 @@ def _training(
     files = _contents(_read_by(train))
     path = out / "jobs" / f"{arm}-{seed}-{config_hash({**train, 'files': files} if files else train)[:6]}"
     trained, races = path / "train", {}
-    refined = train["budget"].get("refinement")
+    refined = improved_by(train["budget"])
     for policy, run in {LEARNED: trained / UNREFINED, REFINED: trained}.items() if refined else [(LEARNED, trained)]:
         for car in settings["cars"]:
             asked = ["run=policy", f"laps={settings['laps']}", f"seeds={list(settings['starts'])}", f"car={car}"]

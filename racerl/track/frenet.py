@@ -6,7 +6,7 @@ the track comes closer, so a car never jumps across an infield. In a hairpin tig
 vanishes inside the track; valleys meet there, parted by ridges of a percent, and the walk steps over those.
 
 On the CPU in single precision the walk and the look-ups run as compiled C (`racerl.track.kernel`); the tensors below
-say the same and run everywhere else.
+say the same and run everywhere else, and where gradients are asked for.
 
 Within a table cell the centreline is an arc of its curvature κ. With (a, b) the car relative to the cell's point,
 along and left of it:  Δs = atan(κa/(1 − κb))/κ,  n = (2b − κ(a² + b²))/(1 + √((1 − κb)² + κ²a²)).
@@ -108,7 +108,7 @@ class FrenetFrame:
 
     def project(self, x: Tensor, y: Tensor, s_last: Tensor) -> Foot:
         """Return the foot points of cars at x, y (N,) that were last at s_last (N,)."""
-        if self._kernel is not None:
+        if self._kernel is not None and not x.requires_grad:
             return Foot(*self._kernel.project(self._cells, x, y, s_last, self.spacing, self._middle))
         nearest = (self.wrap(s_last) / self.spacing).round().long()
         window = (nearest[:, None] + self._window) % self.count
@@ -123,7 +123,7 @@ class FrenetFrame:
 
     def locate(self, x: Tensor, y: Tensor, yaw: Tensor, s_last: Tensor) -> tuple[Tensor, Tensor]:
         """Return the places (5, N), rows as in PLACE, of cars at x, y, heading yaw (N,), and their way from s_last."""
-        if self._kernel is not None:
+        if self._kernel is not None and not x.requires_grad:
             found = self._kernel.locate(self._cells, x, y, yaw, s_last, self.spacing, self._middle)
             return found[:5], found[5]
         foot = self.project(x, y, s_last)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from racerl import bounds
+from racerl.control.policy import improved_by
 from racerl.data.load import load_given
 from racerl.documents import read_json, write_json
 from racerl.errors import ConfigError
@@ -64,7 +65,7 @@ def close(
         gap(diagnosis, found, lambda what, share: on_progress(0.0, what))
     verdict = _verdict(found)
     cars = {"old": found / MODEL_BEFORE, "refined": found / MODEL, "new": found / MODEL, "oracle": settings["real"]}
-    if training["budget"].get("refinement") is None:
+    if not improved_by(training["budget"]):
         del cars["refined"]
     onward = [word for word in words if word.lstrip("+~").partition("=")[0].partition(".")[0] in ONWARD]
     rows: dict[str, list[dict[str, Any]]] = {kind: [] for kind in cars}

@@ -87,8 +87,8 @@ class Budget:
 
     @classmethod
     def of(cls, settings: Mapping[str, Any]) -> "Budget":
-        """Build the budget of `conf/budget/*.yaml`, in which the refinement is not PPO's."""
-        own = {key: value for key, value in settings.items() if key != "refinement"}
+        """Build the budget of `conf/budget/*.yaml`, in which what follows is not PPO's."""
+        own = {key: value for key, value in settings.items() if key not in ("refinement", "ascent")}
         budget: Budget = construct(cls, own, "budget")
         return budget
 

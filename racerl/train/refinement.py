@@ -19,7 +19,7 @@ left the track is mostly tried again, so that the policy practises what it canno
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -27,16 +27,16 @@ from torch.nn.functional import linear
 
 from racerl import bounds
 from racerl.assemble import unlimited
-from racerl.control.networks import Map, forgotten, maps, walk
+from racerl.control.networks import Map, maps, walk
 from racerl.control.policy import AnyPolicy
 from racerl.env.race import Race
 from racerl.env.races import Races
 from racerl.env.termination import CRASH_DISTANCE, Crash
-from racerl.train import checkpoint
 from racerl.train.checkpoint import section
-from racerl.train.session import Progress, Session, require_finite_weights
+from racerl.train.improve import falling
+from racerl.train.practice import Practice
+from racerl.train.session import Session
 
-FILE = "refinement.safetensors"
 FAINTEST = 1e-3  # root mean square of a layer's input, as which any counts at least
 
 
@@ -58,6 +58,10 @@ class Refinement:
     reserve: float
     momentum: float
 
+    name: ClassVar[str] = "refinement"
+    fact: ClassVar[str] = "refined"
+    remedy: ClassVar[str] = "lower budget.refinement.step"
+
     def __post_init__(self) -> None:
         for name in ("generations", "evaluations", "pairs", "horizon", "between", "episode"):
             bounds.whole(f"budget.refinement.{name}", getattr(self, name), 1, 10**6)
@@ -75,115 +79,17 @@ class Refinement:
         """Control steps of a generation, of all cars together."""
         return self.pairs * (2 * self.horizon + self.between)
 
-    def examines(self, number: int) -> bool:
-        """Return whether the policy is examined after so many generations: as often as asked, and at the end."""
-        return number * self.evaluations // self.generations > (number - 1) * self.evaluations // self.generations
+    @property
+    def count(self) -> int:
+        """Steps of the weights."""
+        return self.generations
 
-    def at(self, limits: Sequence[float], generation: int) -> float:
-        """Return a number that goes exponentially from the first of the limits to the last."""
-        first, last = limits
-        return float(first * (last / first) ** (generation / max(1, self.generations - 1)))
-
-
-def refine(session: Session, settings: Refinement, policy: AnyPolicy, before: int, began: float) -> dict[str, Any]:
-    """Refine a policy in place, after `before` control steps and `began` s of training; return facts to keep.
-
-    An interrupted refinement goes on from its checkpoint. `clean_after_s`: seconds until a first examination without a
-    crash, all of whose laps stay on the track, 0 where the best before was such; None if there was none.
-    """
-    world = unlimited(session.settings)
-    lead = session.build_races(settings.pairs, world)
-    race = session.build_races(settings.pairs, world, 2, Crash())
-    search = Search(settings, policy, lead, race, session.seed)
-    path = session.folder.path / FILE
-    state = checkpoint.recover(path, search.restore)
-    first = search.generation
-    session.recall(state, before + first * settings.steps)
-    clean = state["clean"] if state else 0.0 if session.best and _clean(session.best) else None
-    now = session.seconds
-
-    def keep() -> None:
-        facts = {"generation": search.generation, "clean": clean, "session": session.facts()}
-        checkpoint.keep(path, search.snapshot(), facts)
-
-    with session.kept(keep) as between:
-        while search.generation < settings.generations:
-            measures = search.advance()
-            for name, value in measures.items():
-                session.logger.record(f"refinement/{name}", value)
-            number = search.generation
-            steps = before + number * settings.steps
-            require_finite_weights({"policy": policy.network.parameters()}, steps, "lower budget.refinement.step")
-            if settings.examines(number):
-                session.examine(policy, steps)
-                if clean is None and _clean(session.last):
-                    clean = session.seconds - began
-            session.logger.dump(steps)
-            between()
-            rate = (number - first) * settings.steps / (session.seconds - now)
-            whole, reward = settings.generations * settings.steps, measures["fitness"] / settings.horizon
-            told = Progress(steps - before, whole, session.seconds, rate, reward, session.last, "refine")
-            session.on_progress(told)
-    steps = before + settings.generations * settings.steps
-    return {
-        "steps": steps,
-        "refined": settings.generations,
-        "clean_after_s": None if clean is None else round(clean, 1),
-    }
-
-
-def _clean(evaluation: Mapping[str, Any]) -> bool:
-    return bool(evaluation["laps"]) and evaluation["valid_laps"] == evaluation["laps"]
-
-
-class Practice:
-    """The cars that the policy drives between two steps of its weights, from whose states the pairs start.
-
-    A car starts anew when its episode is over, and after a crash, then mostly from where it had started.
-    """
-
-    def __init__(self, race: Race | Races, policy: AnyPolicy, settings: Refinement, dice: torch.Generator) -> None:
-        self.race, self.policy, self.settings, self.dice = race, policy, settings, dice
-        self.memory = torch.zeros(race.count, policy.units, device=race.device)
-        # episodes end one after the other
-        race.age = torch.arange(race.count, device=race.device) * settings.episode // race.count
-        self.starts, self.commands = race.state.clone(), race.command.clone()
-
-    def drive(self) -> None:
-        """Drive for a while; cars whose episode is over then stand at their next start."""
-        for _ in range(self.settings.between):
-            action, memory = self.policy.decide(self.race.observe(), self.memory)
-            crashed = self.race.step(action).terminated
-            self.memory = forgotten(memory, crashed)
-            self._return(crashed)
-        over = self.race.age >= self.settings.episode
-        self.race.restart(over)
-        self.memory = forgotten(self.memory, over)
-        self._remember(over)
-
-    def _return(self, crashed: Tensor) -> None:
-        """Put crashed cars, which stand at new starts, back to where they had started, but for a few."""
-        if not bool(crashed.any()):
-            return
-        again = torch.rand(self.race.count, generator=self.dice, device=self.race.device) < self.settings.again
-        self._remember(crashed & ~again)
-        cars = (crashed & again).nonzero()[:, 0]
-        self.race.put(cars, self.starts[:, cars], self.commands[:, cars])
-
-    def _remember(self, cars: Tensor) -> None:
-        self.starts = torch.where(cars, self.race.state, self.starts)
-        self.commands = torch.where(cars, self.race.command, self.commands)
-
-    def snapshot(self) -> dict[str, Tensor]:
-        """Return all that what it does next depends on, but for the dice."""
-        kept = {"starts": self.starts, "start_commands": self.commands, "memory": self.memory}
-        return {**self.race.snapshot(), **kept}
-
-    def restore(self, kept: dict[str, Tensor]) -> None:
-        """Go on from a snapshot."""
-        names = ("starts", "start_commands", "memory")
-        self.starts, self.commands, self.memory = (kept.pop(name).to(self.race.device) for name in names)
-        self.race.restore(kept)
+    def begin(self, session: Session, policy: AnyPolicy) -> "Search":
+        """Return the search that changes a policy in place, in the training's world."""
+        world = unlimited(session.settings)
+        lead = session.build_races(self.pairs, world)
+        race = session.build_races(self.pairs, world, 2, Crash())
+        return Search(self, policy, lead, race, session.seed)
 
 
 class Search:
@@ -204,14 +110,14 @@ class Search:
         self.network = policy.network
         self.maps = maps(policy.network)
         self.momentum = [torch.zeros_like(_whole(own)) for own in self.maps]
-        self.generation = 0
+        self.done = 0
 
     @torch.no_grad()
     def advance(self) -> dict[str, float]:
         """Take one step of the weights; return its measures."""
         settings = self.settings
-        sigma = settings.at(settings.perturbation, self.generation)
-        alpha = settings.at(settings.step, self.generation)
+        sigma = falling(settings.perturbation, self.done, settings.count)
+        alpha = falling(settings.step, self.done, settings.count)
         self.practice.drive()
         self._begin()
         scales = self._scales()
@@ -230,7 +136,7 @@ class Search:
                 step = alpha * sizes[i] / length * self.momentum[i] / scales[i]
                 weights.add_(step[:, :-1])
                 biases.add_(step[:, -1])
-        self.generation += 1
+        self.done += 1
         return {"fitness": float(fitness.mean()), "crashes": float(self.crashed.float().mean())}
 
     def _scales(self) -> list[Tensor]:
@@ -258,7 +164,7 @@ class Search:
         self.practice.restore(section(tensors, "lead."))
         self.race.dice.restore(tensors["race.dice"])
         self.dice.set_state(tensors["dice"])
-        self.generation = state["generation"]
+        self.done = state["done"]
 
     def _normal(self, scales: Sequence[Tensor]) -> list[tuple[Tensor, Tensor]]:
         """Return a and b/r of every map and pair, of its outputs (P, out) and its inputs and bias (P, in + 1)."""

@@ -11,18 +11,22 @@ from typing import Any
 
 from racerl import bounds
 from racerl.assemble import check_settings, choose_device, use_threads
-from racerl.control.policy import FACTS, UNREFINED, load_policy, save_policy
+from racerl.control.policy import FACTS, UNREFINED, improved_by, load_policy, save_policy
 from racerl.documents import read_json
 from racerl.errors import ConfigError, Diverged, RunError
 from racerl.registry import construct
 from racerl.run import RunFolder
 from racerl.train.algorithms import Algorithm, create_algorithm
+from racerl.train.ascent import Ascent
 from racerl.train.checkpoint import FILE as TRAINING
 from racerl.train.checkpoint import discard
-from racerl.train.refinement import FILE as REFINING
-from racerl.train.refinement import Refinement, refine
+from racerl.train.improve import FILE as IMPROVING
+from racerl.train.improve import Improvement, improve
+from racerl.train.refinement import Refinement
 from racerl.train.session import Progress, Session
 from racerl.train.trackers import create_tracker
+
+KINDS = {"refinement": (Refinement, "laptop.yaml"), "ascent": (Ascent, "ascent.yaml")}  # and a budget that has one
 
 
 def train(
@@ -38,12 +42,12 @@ def train(
         raise ConfigError(f"algo = {settings.get('algo')}: a mapping with a name is expected, as conf/algo/ppo.yaml")
     use_threads(settings["threads"])
     algorithm = create_algorithm(settings["algo"])
-    refinement = _refinement(settings["budget"].get("refinement"))
+    improvement = _improvement(settings["budget"])
     tracker = create_tracker(settings.get("tracking"))
     own = {key: value for key, value in settings.items() if key != "tracking"}
     session = Session(own, out, choose_device(settings["device"]), on_progress, tracker)
     try:
-        facts = algorithm.train(session) if refinement is None else _refined(session, algorithm, refinement)
+        facts = algorithm.train(session) if improvement is None else _improved(session, algorithm, improvement)
     except Diverged as error:
         if session.best is None:
             raise RunError(f"training {error}; no policy was examined before") from error
@@ -66,21 +70,25 @@ def _finish(session: Session, facts: dict[str, Any]) -> None:
     facts |= {"seconds": round(session.seconds, 1), "best": session.best}
     session.keep_failures()
     session.folder.finish(**facts)
-    for name in (TRAINING, REFINING):  # only now: a run that is killed before goes on from them
+    for name in (TRAINING, IMPROVING):  # only now: a run that is killed before goes on from them
         discard(session.out / name)
 
 
-def _refinement(plan: Any) -> Refinement | None:
-    if plan is None:
+def _improvement(budget: Mapping[str, Any]) -> Improvement | None:
+    """Return what a budget ends with; raise ConfigError for two of them and for wrong settings."""
+    if all(budget.get(key) is not None for key in KINDS):
+        raise ConfigError(f"budget.{' and budget.'.join(KINDS)}: one of them is allowed; set the other to null")
+    if not (key := improved_by(budget)):
         return None
-    if not isinstance(plan, Mapping):
-        raise ConfigError(f"budget.refinement = {plan}: settings as in conf/budget/laptop.yaml are expected, or null")
-    found: Refinement = construct(Refinement, plan, "budget.refinement")
+    kind, example = KINDS[key]
+    if not isinstance(plan := budget[key], Mapping):
+        raise ConfigError(f"budget.{key} = {plan}: settings as in conf/budget/{example} are expected, or null")
+    found: Improvement = construct(kind, plan, f"budget.{key}")
     return found
 
 
-def _refined(session: Session, algorithm: Algorithm, refinement: Refinement) -> dict[str, Any]:
-    """Train, keep the policy as it is then, and refine it; a run that was interrupted while refining goes on there."""
+def _improved(session: Session, algorithm: Algorithm, improvement: Improvement) -> dict[str, Any]:
+    """Train, keep the policy as it is then, and improve it; a run that was interrupted on the way goes on there."""
     before = session.out / UNREFINED
     if (before / FACTS).is_file():
         session.start()
@@ -92,4 +100,4 @@ def _refined(session: Session, algorithm: Algorithm, refinement: Refinement) -> 
         if session.logger.name_to_value:
             session.logger.dump(learned["steps"])
         save_policy(load_policy(session.out), before, evaluation=session.best, learned=learned, seconds=began)
-    return learned | refine(session, refinement, load_policy(before, session.device), learned["steps"], began)
+    return learned | improve(session, improvement, load_policy(before, session.device), learned["steps"], began)

@@ -17,7 +17,8 @@ from racerl.evaluate.evaluate import evaluate
 from racerl.train import session
 from racerl.train import train as training
 from racerl.train.checkpoint import recover
-from racerl.train.refinement import FILE, Refinement, Search
+from racerl.train.improve import FILE
+from racerl.train.refinement import Refinement, Search
 from racerl.train.train import train
 from tests.train.pulled import logged
 from tests.train.short import refinement

@@ -181,7 +181,7 @@ def test_a_refinement_that_diverges_leaves_the_policy_from_before(tmp_path, monk
 
     def poisoned(search):
         measures = advance(search)
-        if search.generation == 2:
+        if search.done == 2:
             with torch.no_grad():
                 search.maps[-1][1].fill_(float("inf"))
         return measures

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from racerl.control.policy import load_policy
+from racerl.control.policy import improved_by, load_policy
 from racerl.errors import ConfigError, PolicyError
 from racerl.train.session import Session
 
@@ -21,7 +21,7 @@ class Trained:
 
         Raises ConfigError where no refinement follows, PolicyError where the policy reads other observations.
         """
-        if session.settings["budget"].get("refinement") is None:
+        if not improved_by(session.settings["budget"]):
             raise ConfigError(
                 f"from = {self.run}: a policy that is there is refined only; choose a budget with a refinement, "
                 "as budget=laptop has"

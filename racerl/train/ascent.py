@@ -1,0 +1,163 @@
+"""Ascent of a policy along the gradient of what it drives: no critic, no discount, no noise, nothing drawn.
+
+Cars drive on from states in which the policy drives. What each makes of it until a crash is
+
+    F = Σ Δs − price Σ max(0, reserve − d)² Δt,
+
+the metres of progress less a price for being closer to the boundary than the reserve, d the distance to it; once
+crashed a car makes nothing and counts as 0.2 m beyond the boundary. ∂F/∂θ is exact to rounding: car, track, observation
+and network are differentiated backwards through all control steps (backpropagation through time), the car by the
+adjoint of its compiled step. Adam climbs it.
+
+The square lets the price rise evenly. With a price that begins at once, as the refinement has it, the gradient leaps
+at the reserve, steps go to and fro across it, and laps stay where they are.
+
+An output at its limit gets no gradient that would push it on, but one that brings it back.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import linear
+
+from racerl import bounds
+from racerl.assemble import unlimited
+from racerl.control.networks import forgotten, maps, walk
+from racerl.control.policy import AnyPolicy
+from racerl.env.race import Race
+from racerl.env.races import Races
+from racerl.env.termination import CRASH_DISTANCE, Crash
+from racerl.train.checkpoint import load_optimizer, optimizer_tensors, section
+from racerl.train.improve import falling
+from racerl.train.practice import Practice
+from racerl.train.session import Session
+
+BETAS = (0.9, 0.99)  # of Adam; the second forgets in a hundred steps, of which there are few hundreds
+
+
+@dataclass(frozen=True)
+class Ascent:
+    """How long and how boldly; `conf/budget/ascent.yaml` says what each number is."""
+
+    updates: int
+    evaluations: int
+    cars: int
+    horizon: int
+    between: int
+    episode: int
+    again: float
+    rate: Sequence[float]
+    longest: float
+    price: Sequence[float]
+    reserve: Sequence[float]
+
+    name: ClassVar[str] = "ascent"
+    fact: ClassVar[str] = "ascended"
+    remedy: ClassVar[str] = "lower budget.ascent.rate"
+
+    def __post_init__(self) -> None:
+        for name in ("updates", "evaluations", "cars", "horizon", "between", "episode"):
+            bounds.whole(f"budget.ascent.{name}", getattr(self, name), 1, 10**6)
+        expected = "two numbers are expected, the first and the last"
+        for name, most in (("rate", 1.0), ("price", 1e6), ("reserve", 1.0)):
+            bounds.pair(f"budget.ascent.{name}", getattr(self, name), 1e-9, most, expected)
+        bounds.number("budget.ascent.again", self.again, 0.0, 0.999)
+        bounds.number("budget.ascent.longest", self.longest, 1e-9, 1e9)
+
+    @property
+    def count(self) -> int:
+        """Steps of the weights."""
+        return self.updates
+
+    @property
+    def steps(self) -> int:
+        """Control steps of an update, of all cars together."""
+        return self.cars * (self.horizon + self.between)
+
+    def begin(self, session: Session, policy: AnyPolicy) -> "Climb":
+        """Return the climb that changes a policy in place, in the training's world."""
+        world = unlimited(session.settings)
+        lead, race = (session.build_races(self.cars, world, termination=end) for end in (None, Crash()))
+        return Climb(self, policy, lead, race, session.seed)
+
+
+class Climb:
+    """A policy in the course of an ascent: its weights, Adam's moments, and the cars."""
+
+    def __init__(self, settings: Ascent, policy: AnyPolicy, lead: Race | Races, race: Race | Races, seed: int) -> None:
+        """`lead` and `race` have as many cars; the policy's weights are changed in place."""
+        self.settings, self.lead, self.race = settings, lead, race
+        dice = torch.Generator(lead.device).manual_seed(seed)
+        self.practice = Practice(lead, policy, settings, dice)
+        self.network: nn.Module = policy.network.requires_grad_()
+        self.adam = torch.optim.Adam(self.network.parameters(), lr=settings.rate[0], betas=BETAS)
+        self.dice, self.done = dice, 0
+
+    def advance(self) -> dict[str, float]:
+        """Take one step of the weights; return its measures."""
+        settings = self.settings
+        rate, price, reserve = (
+            falling(limits, self.done, settings.updates) for limits in (settings.rate, settings.price, settings.reserve)
+        )
+        for group in self.adam.param_groups:
+            group["lr"] = rate
+        with torch.no_grad():
+            self.practice.drive()
+        made, crashed = self._drive(price, reserve)
+        self.adam.zero_grad()
+        (-made.mean()).backward()
+        length = nn.utils.clip_grad_norm_(self.network.parameters(), settings.longest)
+        self.adam.step()
+        self.done += 1
+        crashes = float(crashed.float().mean())
+        return {"fitness": float(made.detach().mean()), "crashes": crashes, "gradient": float(length)}
+
+    def _drive(self, price: float, reserve: float) -> tuple[Tensor, Tensor]:
+        """Return what all cars make (N,) in m, by the weights differentiable, and which of them crashed."""
+        race = self.race
+        race.restore({**self.lead.snapshot(), "dice": race.dice.snapshot()})
+        memory, layers = self.practice.memory, maps(self.network)
+        crashed = torch.zeros(race.count, dtype=torch.bool, device=race.device)
+        made = torch.zeros(race.count, device=race.device)
+        for _ in range(self.settings.horizon):
+            action, memory = walk(self.network, race.observe(), memory, lambda i, x: linear(x, *layers[i]))
+            progress, margin, ended = race.drive_on(_Limited.apply(action))
+            crashed = crashed | ended
+            memory = forgotten(memory, ended)
+            close = (reserve - margin.masked_fill(crashed, -CRASH_DISTANCE)).clamp(min=0.0)
+            made = made + progress.masked_fill(crashed, 0.0) - price * race.timing.dt * close.square()
+        return made, crashed
+
+    def snapshot(self) -> dict[str, Tensor]:
+        """Return all that the next update depends on, but for its number."""
+        tensors = {f"network.{name}": tensor for name, tensor in self.network.state_dict().items()}
+        tensors |= {f"adam.{name}": tensor for name, tensor in optimizer_tensors(self.adam).items()}
+        tensors |= {f"lead.{name}": tensor for name, tensor in self.practice.snapshot().items()}
+        return tensors | {"race.dice": self.race.dice.snapshot(), "dice": self.dice.get_state()}
+
+    def restore(self, tensors: dict[str, Tensor], state: Mapping[str, Any]) -> None:
+        """Go on from a snapshot."""
+        self.network.load_state_dict(section(tensors, "network."))
+        load_optimizer(self.adam, section(tensors, "adam."))
+        self.practice.restore(section(tensors, "lead."))
+        self.race.dice.restore(tensors["race.dice"])
+        self.dice.set_state(tensors["dice"])
+        self.done = state["done"]
+
+
+class _Limited(torch.autograd.Function):
+    """Outputs inside ± 1, whose gradient by ascent may lead back from a limit but not beyond it."""
+
+    @staticmethod
+    def forward(ctx: Any, outputs: Tensor) -> Tensor:
+        ctx.save_for_backward(outputs)
+        return outputs.clamp(-1.0, 1.0)
+
+    @staticmethod
+    def backward(ctx: Any, *slopes: Tensor) -> Tensor:
+        (outputs,), (slope,) = ctx.saved_tensors, slopes  # of what is made less: against its slope the weights go
+        beyond = ((outputs > 1.0) & (slope < 0.0)) | ((outputs < -1.0) & (slope > 0.0))
+        return slope.masked_fill(beyond, 0.0)
