@@ -51,8 +51,8 @@ class Ascent:
     again: float
     rate: Sequence[float]
     longest: float
-    price: Sequence[float]
-    reserve: Sequence[float]
+    price: float
+    reserve: float
 
     name: ClassVar[str] = "ascent"
     fact: ClassVar[str] = "ascended"
@@ -61,11 +61,11 @@ class Ascent:
     def __post_init__(self) -> None:
         for name in ("updates", "evaluations", "cars", "horizon", "between", "episode"):
             bounds.whole(f"budget.ascent.{name}", getattr(self, name), 1, 10**6)
-        expected = "two numbers are expected, the first and the last"
-        for name, most in (("rate", 1.0), ("price", 1e6), ("reserve", 1.0)):
-            bounds.pair(f"budget.ascent.{name}", getattr(self, name), 1e-9, most, expected)
+        bounds.pair("budget.ascent.rate", self.rate, 1e-9, 1.0, "two numbers are expected, the first and the last")
         bounds.number("budget.ascent.again", self.again, 0.0, 0.999)
         bounds.number("budget.ascent.longest", self.longest, 1e-9, 1e9)
+        bounds.number("budget.ascent.price", self.price, 0.0, 1e6)
+        bounds.number("budget.ascent.reserve", self.reserve, 0.0, 1.0)
 
     @property
     def count(self) -> int:
@@ -99,14 +99,11 @@ class Climb:
     def advance(self) -> dict[str, float]:
         """Take one step of the weights; return its measures."""
         settings = self.settings
-        rate, price, reserve = (
-            falling(limits, self.done, settings.updates) for limits in (settings.rate, settings.price, settings.reserve)
-        )
         for group in self.adam.param_groups:
-            group["lr"] = rate
+            group["lr"] = falling(settings.rate, self.done, settings.updates)
         with torch.no_grad():
             self.practice.drive()
-        made, crashed = self._drive(price, reserve)
+        made, crashed = self._drive()
         self.adam.zero_grad()
         (-made.mean()).backward()
         length = nn.utils.clip_grad_norm_(self.network.parameters(), settings.longest)
@@ -115,20 +112,20 @@ class Climb:
         crashes = float(crashed.float().mean())
         return {"fitness": float(made.detach().mean()), "crashes": crashes, "gradient": float(length)}
 
-    def _drive(self, price: float, reserve: float) -> tuple[Tensor, Tensor]:
+    def _drive(self) -> tuple[Tensor, Tensor]:
         """Return what all cars make (N,) in m, by the weights differentiable, and which of them crashed."""
-        race = self.race
+        race, settings = self.race, self.settings
         race.restore({**self.lead.snapshot(), "dice": race.dice.snapshot()})
         memory, layers = self.practice.memory, maps(self.network)
         crashed = torch.zeros(race.count, dtype=torch.bool, device=race.device)
         made = torch.zeros(race.count, device=race.device)
-        for _ in range(self.settings.horizon):
+        for _ in range(settings.horizon):
             action, memory = walk(self.network, race.observe(), memory, lambda i, x: linear(x, *layers[i]))
             progress, margin, ended = race.drive_on(_Limited.apply(action))
             crashed = crashed | ended
             memory = forgotten(memory, ended)
-            close = (reserve - margin.masked_fill(crashed, -CRASH_DISTANCE)).clamp(min=0.0)
-            made = made + progress.masked_fill(crashed, 0.0) - price * race.timing.dt * close.square()
+            close = (settings.reserve - margin.masked_fill(crashed, -CRASH_DISTANCE)).clamp(min=0.0)
+            made = made + progress.masked_fill(crashed, 0.0) - settings.price * race.timing.dt * close.square()
         return made, crashed
 
     def snapshot(self) -> dict[str, Tensor]:

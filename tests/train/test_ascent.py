@@ -31,8 +31,8 @@ PLAN = Ascent(
     again=0.5,
     rate=[0.01, 0.01],
     longest=1e9,
-    price=[400.0, 400.0],
-    reserve=[0.05, 0.05],
+    price=400.0,
+    reserve=0.05,
 )
 STEP = 2e-4  # of finite differences: larger ones cross kinks of the network
 SHORT = {
@@ -45,8 +45,8 @@ SHORT = {
     "again": 0.9,
     "rate": "[0.001,0.0001]",
     "longest": 20.0,
-    "price": "[400,2500]",
-    "reserve": "[0.05,0.02]",
+    "price": 400.0,
+    "reserve": 0.05,
 }
 WORLDS = {
     "plain": [],
@@ -91,11 +91,11 @@ def steady(found):
 @pytest.mark.parametrize(("world", "recurrent"), [*((world, False) for world in WORLDS), ("plain", True)])
 def test_the_gradient_is_that_of_finite_differences(world, recurrent):
     """Along random directions of all weights, through car, track, observation, action and memory."""
-    found = steady(climb(replace(PLAN, horizon=10), *WORLDS[world], recurrent=recurrent))
+    found = steady(climb(replace(PLAN, horizon=10, price=30.0, reserve=0.4), *WORLDS[world], recurrent=recurrent))
     weights = list(found.network.parameters())
 
     def made():
-        return found._drive(30.0, 0.4)[0].double().mean()
+        return found._drive()[0].double().mean()
 
     slopes = torch.autograd.grad(made(), weights)
     generator = torch.Generator().manual_seed(1)
@@ -125,7 +125,7 @@ def test_an_output_comes_back_from_its_limit_and_goes_no_further():
 
 
 def test_it_learns_to_go_faster():
-    plan = replace(PLAN, cars=32, episode=20, price=[1e-9, 1e-9])
+    plan = replace(PLAN, cars=32, episode=20, price=0.0)
     found = climb(plan, "track=oval")
     made = [found.advance()["fitness"] for _ in range(15)]
     assert sum(made[-3:]) > 1.1 * sum(made[:3]) > 0.0
@@ -134,13 +134,15 @@ def test_it_learns_to_go_faster():
 def test_the_boundary_has_a_price():
     """What is close to it makes less, and what has crashed counts as far beyond it."""
     found = steady(climb(replace(PLAN, horizon=5)))
-    free, crashed = found._drive(0.0, 0.05)
-    narrow, _ = found._drive(100.0, 0.5)
+    found.settings = replace(found.settings, price=0.0)
+    free, crashed = found._drive()
+    found.settings = replace(found.settings, price=100.0, reserve=0.5)
+    narrow, _ = found._drive()
     assert not crashed.any() and bool((narrow < free).all())
     with torch.no_grad():
         found.network[-1].bias.copy_(torch.tensor([9.0, 9.0]))  # full lock, full throttle
-    found.settings = replace(PLAN, horizon=60)
-    lost, crashed = found._drive(100.0, 0.0)
+    found.settings = replace(PLAN, horizon=60, reserve=0.0)
+    lost, crashed = found._drive()
     assert crashed.all() and float(lost.detach().max()) < 0.0
 
 
@@ -148,7 +150,7 @@ def test_what_a_car_did_before_it_crashed_alone_has_a_gradient():
     found = climb(replace(PLAN, horizon=80))
     with torch.no_grad():
         found.network[-1].bias.copy_(torch.tensor([0.9, 0.9]))
-    made, crashed = found._drive(100.0, 0.05)
+    made, crashed = found._drive()
     assert crashed.all()
     slopes = torch.autograd.grad(made.mean(), list(found.network.parameters()))
     assert all(bool(slope.isfinite().all()) for slope in slopes)
@@ -197,7 +199,7 @@ def test_weights_that_are_lost_leave_the_policy_from_before(tmp_path, monkeypatc
     [
         (asked(cars=0), "cars"),
         (asked(rate=0.1), "two numbers"),
-        (asked(price="[400,-1]"), "price"),
+        (asked(price=-1), "price"),
         (asked(longest=0), "longest"),
         (asked(pairs=2), "no setting 'pairs'"),
         ("+budget.ascent=3", "or null"),
