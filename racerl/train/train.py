@@ -42,7 +42,7 @@ def train(
         raise ConfigError(f"algo = {settings.get('algo')}: a mapping with a name is expected, as conf/algo/ppo.yaml")
     use_threads(settings["threads"])
     algorithm = create_algorithm(settings["algo"])
-    improvement = _improvement(settings["budget"])
+    improvement = _improvement(settings["budget"], settings["vehicle"])
     tracker = create_tracker(settings.get("tracking"))
     own = {key: value for key, value in settings.items() if key != "tracking"}
     session = Session(own, out, choose_device(settings["device"]), on_progress, tracker)
@@ -74,13 +74,15 @@ def _finish(session: Session, facts: dict[str, Any]) -> None:
         discard(session.out / name)
 
 
-def _improvement(budget: Mapping[str, Any]) -> Improvement | None:
-    """Return what a budget ends with; raise ConfigError for two of them and for wrong settings."""
+def _improvement(budget: Mapping[str, Any], vehicle: Mapping[str, Any]) -> Improvement | None:
+    """Return what a budget ends with; raise ConfigError for two of them, wrong settings, and a car without gradient."""
     if all(budget.get(key) is not None for key in KINDS):
         raise ConfigError(f"budget.{' and budget.'.join(KINDS)}: one of them is allowed; set the other to null")
     if not (key := improved_by(budget)):
         return None
     kind, example = KINDS[key]
+    if kind is Ascent and (body := vehicle.get("body")):
+        raise ConfigError(f"budget.{key}: needs the car's gradient; vehicle.body = {body} has none; use budget=laptop")
     if not isinstance(plan := budget[key], Mapping):
         raise ConfigError(f"budget.{key} = {plan}: settings as in conf/budget/{example} are expected, or null")
     found: Improvement = construct(kind, plan, f"budget.{key}")

@@ -215,3 +215,9 @@ def test_a_budget_ends_with_one_of_both(tmp_path):
     words = ["budget=ascent", "budget.refinement={generations:2}"]
     with pytest.raises(ConfigError, match=r"budget\.refinement and budget\.ascent: one of them is allowed"):
         train(compose_settings("train", words), tmp_path / "run")
+
+
+def test_a_car_without_a_gradient_is_refused(tmp_path):
+    settings = compose_settings("train", ["budget=ascent"])
+    with pytest.raises(ConfigError, match=r"vehicle\.body = commonroad_mb has none; use budget=laptop"):
+        train({**settings, "vehicle": {**settings["vehicle"], "body": "commonroad_mb"}}, tmp_path / "run")
