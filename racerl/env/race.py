@@ -266,14 +266,11 @@ class Race(Rows):
     def drive_on(self, action: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Drive all cars for one control step with actions (N, 2), differentiably; none of them starts over.
 
-        Returns the progress in m, the margin in m and the cars whose episode would end, (N,) each. What those do from
-        then on has no gradient by what they did before.
+        Returns the progress in m, the margin in m and the cars whose episode would end, (N,) each.
         """
         self._apply(action)
         progress, faulty = self._move()
-        ended = self.termination(self) | faulty
-        self.state = torch.where(ended, self.state.detach(), self.state)
-        return progress, self.margin, ended
+        return progress, self.margin, self.termination(self) | faulty
 
     def _apply(self, action: Tensor) -> None:
         last = self.command

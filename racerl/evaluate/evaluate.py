@@ -26,8 +26,9 @@ from racerl.paper import PAPER
 from racerl.registry import construct
 from racerl.run import MANIFEST, RunFolder
 
-ONWARD = ", refined on"  # in another world than it was learned in
 REFINED = {"": "", "refinement": " refined", "ascent": " refined by its gradient"}
+# in another world than it was learned in
+ONWARD = {"": "", "refinement": ", refined on", "ascent": ", refined on by its gradient"}
 OVERRIDABLE = ("vehicle", "track", "sim", "dr")
 
 
@@ -158,7 +159,8 @@ def learned(settings: Mapping[str, Any]) -> str:
     refined = improved_by(budget) if isinstance(budget, Mapping) else ""
     if name == "trained":
         before = str(algorithm.get("learned"))
-        return before.removesuffix(ONWARD) + ONWARD if refined else before
+        known = next((words for words in ONWARD.values() if words and before.endswith(words)), "")
+        return before.removesuffix(known) + ONWARD[refined] if refined else before
     by = ("PPO" if name == "ppo" else name) + (" drifting first" if algorithm.get("drift") else "")
     by = ("recurrent " if algorithm.get("recurrent") else "") + by
     return by + (" with a privileged critic" if algorithm.get("privileged") else "") + REFINED[refined]

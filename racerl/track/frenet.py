@@ -110,10 +110,11 @@ class FrenetFrame:
         """Return the foot points of cars at x, y (N,) that were last at s_last (N,)."""
         if self._kernel is not None and not x.requires_grad:
             return Foot(*self._kernel.project(self._cells, x, y, s_last, self.spacing, self._middle))
-        nearest = (self.wrap(s_last) / self.spacing).round().long()
-        window = (nearest[:, None] + self._window) % self.count
-        squared = (x[:, None] - self.x[window]) ** 2 + (y[:, None] - self.y[window]) ** 2
-        index = (nearest + self._downhill(squared)) % self.count
+        with torch.no_grad():  # which cell it is has no slope
+            nearest = (self.wrap(s_last) / self.spacing).round().long()
+            window = (nearest[:, None] + self._window) % self.count
+            squared = (x[:, None] - self.x[window]) ** 2 + (y[:, None] - self.y[window]) ** 2
+            index = (nearest + self._downhill(squared)) % self.count
         return self._foot_in_cell(x, y, index)
 
     def nearest(self, x: Tensor, y: Tensor) -> Tensor:

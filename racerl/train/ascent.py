@@ -1,13 +1,13 @@
-"""Ascent of a policy along the gradient of what it drives: no critic, no discount, no noise, nothing drawn.
+"""Ascent of a policy along the gradient of what it drives: no critic, no discount, no noise added, no perturbations.
 
 Cars drive on from states in which the policy drives. What each makes of it until a crash is
 
     F = Σ Δs − price Σ max(0, reserve − d)² Δt,
 
 the metres of progress less a price for being closer to the boundary than the reserve, d the distance to it; once
-crashed a car makes nothing and counts as 0.2 m beyond the boundary. ∂F/∂θ is exact to rounding: car, track, observation
-and network are differentiated backwards through all control steps (backpropagation through time), the car by the
-adjoint of its compiled step. Adam climbs it.
+crashed a car makes nothing and counts as 0.2 m beyond the boundary. Car, track, observation and network are
+differentiated backwards through all control steps (backpropagation through time), the car by the adjoint of its
+compiled step: ∂F/∂θ is exact where no car crashes and nothing is at a limit. Adam climbs it.
 
 The square lets the price rise evenly. With a price that begins at once, as the refinement has it, the gradient leaps
 at the reserve, steps go to and fro across it, and laps stay where they are.
@@ -49,21 +49,27 @@ class Ascent:
     between: int
     episode: int
     again: float
-    rate: Sequence[float]
-    longest: float
+    learning_rate: Sequence[float]
+    gradient_norm: float
     price: float
     reserve: float
 
     name: ClassVar[str] = "ascent"
     fact: ClassVar[str] = "ascended"
-    remedy: ClassVar[str] = "lower budget.ascent.rate"
+    remedy: ClassVar[str] = "lower budget.ascent.learning_rate"
 
     def __post_init__(self) -> None:
         for name in ("updates", "evaluations", "cars", "horizon", "between", "episode"):
             bounds.whole(f"budget.ascent.{name}", getattr(self, name), 1, 10**6)
-        bounds.pair("budget.ascent.rate", self.rate, 1e-9, 1.0, "two numbers are expected, the first and the last")
+        bounds.pair(
+            "budget.ascent.learning_rate",
+            self.learning_rate,
+            1e-9,
+            1.0,
+            "two numbers are expected, the first and the last",
+        )
         bounds.number("budget.ascent.again", self.again, 0.0, 0.999)
-        bounds.number("budget.ascent.longest", self.longest, 1e-9, 1e9)
+        bounds.number("budget.ascent.gradient_norm", self.gradient_norm, 1e-9, 1e9)
         bounds.number("budget.ascent.price", self.price, 0.0, 1e6)
         bounds.number("budget.ascent.reserve", self.reserve, 0.0, 1.0)
 
@@ -93,20 +99,20 @@ class Climb:
         dice = torch.Generator(lead.device).manual_seed(seed)
         self.practice = Practice(lead, policy, settings, dice)
         self.network: nn.Module = policy.network.requires_grad_()
-        self.adam = torch.optim.Adam(self.network.parameters(), lr=settings.rate[0], betas=BETAS)
+        self.adam = torch.optim.Adam(self.network.parameters(), lr=settings.learning_rate[0], betas=BETAS)
         self.dice, self.done = dice, 0
 
     def advance(self) -> dict[str, float]:
         """Take one step of the weights; return its measures."""
         settings = self.settings
         for group in self.adam.param_groups:
-            group["lr"] = falling(settings.rate, self.done, settings.updates)
+            group["lr"] = falling(settings.learning_rate, self.done, settings.updates)
         with torch.no_grad():
             self.practice.drive()
         made, crashed = self._drive()
         self.adam.zero_grad()
         (-made.mean()).backward()
-        length = nn.utils.clip_grad_norm_(self.network.parameters(), settings.longest)
+        length = nn.utils.clip_grad_norm_(self.network.parameters(), settings.gradient_norm)
         self.adam.step()
         self.done += 1
         crashes = float(crashed.float().mean())
@@ -115,7 +121,8 @@ class Climb:
     def _drive(self) -> tuple[Tensor, Tensor]:
         """Return what all cars make (N,) in m, by the weights differentiable, and which of them crashed."""
         race, settings = self.race, self.settings
-        race.restore({**self.lead.snapshot(), "dice": race.dice.snapshot()})
+        fresh = {"age": torch.zeros_like(self.lead.age), "dice": race.dice.snapshot()}
+        race.restore({**self.lead.snapshot(), **fresh})
         memory, layers = self.practice.memory, maps(self.network)
         crashed = torch.zeros(race.count, dtype=torch.bool, device=race.device)
         made = torch.zeros(race.count, device=race.device)

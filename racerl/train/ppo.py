@@ -20,7 +20,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from torch import Tensor, nn
 
 from racerl import bounds
-from racerl.control.policy import AnyPolicy
+from racerl.control.policy import IMPROVEMENTS, AnyPolicy
 from racerl.env.adapters.sb3 import RaceVecEnv
 from racerl.env.race import Race
 from racerl.env.races import Races
@@ -88,7 +88,7 @@ class Budget:
     @classmethod
     def of(cls, settings: Mapping[str, Any]) -> "Budget":
         """Build the budget of `conf/budget/*.yaml`, in which what follows is not PPO's."""
-        own = {key: value for key, value in settings.items() if key not in ("refinement", "ascent")}
+        own = {key: value for key, value in settings.items() if key not in IMPROVEMENTS}
         budget: Budget = construct(cls, own, "budget")
         return budget
 

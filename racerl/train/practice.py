@@ -28,7 +28,7 @@ class Rhythm(Protocol):
 
 
 class Practice:
-    """The cars that the policy drives between two steps of its weights, from whose states the pairs start.
+    """The cars that the policy drives between two steps of its weights, from whose states it is tried.
 
     A car starts anew when its episode is over, and after a crash, then mostly from where it had started.
     """

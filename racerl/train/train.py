@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from racerl import bounds
-from racerl.assemble import check_settings, choose_device, use_threads
+from racerl.assemble import build_vehicle, check_settings, choose_device, use_threads
 from racerl.control.policy import FACTS, UNREFINED, improved_by, load_policy, save_policy
 from racerl.documents import read_json
 from racerl.errors import ConfigError, Diverged, RunError
@@ -42,7 +42,7 @@ def train(
         raise ConfigError(f"algo = {settings.get('algo')}: a mapping with a name is expected, as conf/algo/ppo.yaml")
     use_threads(settings["threads"])
     algorithm = create_algorithm(settings["algo"])
-    improvement = _improvement(settings["budget"], settings["vehicle"])
+    improvement = _improvement(settings)
     tracker = create_tracker(settings.get("tracking"))
     own = {key: value for key, value in settings.items() if key != "tracking"}
     session = Session(own, out, choose_device(settings["device"]), on_progress, tracker)
@@ -74,14 +74,15 @@ def _finish(session: Session, facts: dict[str, Any]) -> None:
         discard(session.out / name)
 
 
-def _improvement(budget: Mapping[str, Any], vehicle: Mapping[str, Any]) -> Improvement | None:
+def _improvement(settings: Mapping[str, Any]) -> Improvement | None:
     """Return what a budget ends with; raise ConfigError for two of them, wrong settings, and a car without gradient."""
+    budget = settings["budget"]
     if all(budget.get(key) is not None for key in KINDS):
         raise ConfigError(f"budget.{' and budget.'.join(KINDS)}: one of them is allowed; set the other to null")
     if not (key := improved_by(budget)):
         return None
     kind, example = KINDS[key]
-    if kind is Ascent and (body := vehicle.get("body")):
+    if kind is Ascent and (body := build_vehicle(settings).body):
         raise ConfigError(f"budget.{key}: needs the car's gradient; vehicle.body = {body} has none; use budget=laptop")
     if not isinstance(plan := budget[key], Mapping):
         raise ConfigError(f"budget.{key} = {plan}: settings as in conf/budget/{example} are expected, or null")

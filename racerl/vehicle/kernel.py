@@ -238,7 +238,8 @@ class _Advance(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *cotangents: Tensor) -> tuple[Tensor | None, ...]:
-        return (*ctx.motion.pull(ctx.saved_tensors, cotangents[0]), None)
+        idle = (cotangents[0] == 0.0).all(dim=0)  # cars that nothing hangs on: one that failed has NaN for a slope
+        return (*(each.masked_fill(idle, 0.0) for each in ctx.motion.pull(ctx.saved_tensors, cotangents[0])), None)
 
 
 Motion = TorchMotion | CompiledMotion | BodyMotion

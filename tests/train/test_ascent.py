@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 import torch
+import yaml
 
 from racerl.assemble import build_races
 from racerl.config import compose_settings
@@ -29,8 +30,8 @@ PLAN = Ascent(
     between=3,
     episode=60,
     again=0.5,
-    rate=[0.01, 0.01],
-    longest=1e9,
+    learning_rate=[0.01, 0.01],
+    gradient_norm=1e9,
     price=400.0,
     reserve=0.05,
 )
@@ -43,8 +44,8 @@ SHORT = {
     "between": 5,
     "episode": 40,
     "again": 0.9,
-    "rate": "[0.001,0.0001]",
-    "longest": 20.0,
+    "learning_rate": "[0.001,0.0001]",
+    "gradient_norm": 20.0,
     "price": 400.0,
     "reserve": 0.05,
 }
@@ -146,14 +147,27 @@ def test_the_boundary_has_a_price():
     assert crashed.all() and float(lost.detach().max()) < 0.0
 
 
-def test_what_a_car_did_before_it_crashed_alone_has_a_gradient():
+def test_cars_that_crash_or_fail_leave_the_others_their_gradient():
     found = climb(replace(PLAN, horizon=80))
     with torch.no_grad():
         found.network[-1].bias.copy_(torch.tensor([0.9, 0.9]))
     made, crashed = found._drive()
     assert crashed.all()
-    slopes = torch.autograd.grad(made.mean(), list(found.network.parameters()))
-    assert all(bool(slope.isfinite().all()) for slope in slopes)
+    assert _norm(made, found) > 0.0  # of what they did before
+    with torch.no_grad():
+        found.practice.drive()
+    found.settings = replace(PLAN, horizon=5)
+    sound = _norm(found._drive()[0][1:], found)
+    found.lead.state[5, 0] = 1e30  # a yaw rate at which the integration fails
+    made, crashed = found._drive()
+    assert found.race.faults > 0 and crashed[0]
+    assert _norm(made[1:], found) == pytest.approx(sound, rel=1e-5)
+    assert 0.0 < _norm(made, found) < float("inf")
+
+
+def _norm(made, found):
+    slopes = torch.autograd.grad(made.sum(), list(found.network.parameters()), retain_graph=True)
+    return float(torch.cat([slope.flatten() for slope in slopes]).norm())
 
 
 @pytest.mark.parametrize("period", [0.0, pytest.param(1e6, marks=pytest.mark.slow)])
@@ -188,7 +202,7 @@ def test_weights_that_are_lost_leave_the_policy_from_before(tmp_path, monkeypatc
         return measures
 
     monkeypatch.setattr(Climb, "advance", poisoned)
-    with pytest.raises(RunError, match=r"policy's weights are not finite; lower budget\.ascent\.rate"):
+    with pytest.raises(RunError, match=r"policy's weights are not finite; lower budget\.ascent\.learning_rate"):
         train(compose_settings("train", [*SMOKE, asked()]), tmp_path / "run")
     policy = load_policy(tmp_path / "run")
     assert all(bool(weight.isfinite().all()) for weight in policy.network.parameters())
@@ -198,9 +212,9 @@ def test_weights_that_are_lost_leave_the_policy_from_before(tmp_path, monkeypatc
     ("word", "said"),
     [
         (asked(cars=0), "cars"),
-        (asked(rate=0.1), "two numbers"),
+        (asked(learning_rate=0.1), "two numbers"),
         (asked(price=-1), "price"),
-        (asked(longest=0), "longest"),
+        (asked(gradient_norm=0), "gradient_norm"),
         (asked(pairs=2), "no setting 'pairs'"),
         ("+budget.ascent=3", "or null"),
     ],
@@ -218,6 +232,7 @@ def test_a_budget_ends_with_one_of_both(tmp_path):
 
 
 def test_a_car_without_a_gradient_is_refused(tmp_path):
-    settings = compose_settings("train", ["budget=ascent"])
+    car = {**compose_settings("train", [])["vehicle"], "body": "commonroad_mb"}
+    (tmp_path / "car.yaml").write_text(yaml.safe_dump(car))
     with pytest.raises(ConfigError, match=r"vehicle\.body = commonroad_mb has none; use budget=laptop"):
-        train({**settings, "vehicle": {**settings["vehicle"], "body": "commonroad_mb"}}, tmp_path / "run")
+        train(compose_settings("train", ["budget=ascent", f"vehicle={tmp_path}/car.yaml"]), tmp_path / "run")
