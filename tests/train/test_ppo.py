@@ -212,7 +212,7 @@ def test_every_number_of_the_learner_stands_in_its_file(budget):
     settings = compose_settings(
         "train", [f"budget={budget}", *(f"budget.{key}={value}" for key, value in OTHER.items())]
     )
-    assert set(settings["budget"]) - {"refinement"} == set(fields)
+    assert set(settings["budget"]) - {"refinement", "ascent"} == set(fields)
     assert all(field.default is dataclasses.MISSING for field in fields.values())  # none in the code
     assert {key: settings["budget"][key] for key in OTHER} == OTHER
     Budget.of(settings["budget"])
