@@ -28,7 +28,7 @@ from racerl.run import MANIFEST, RunFolder
 
 REFINED = {"": "", "refinement": " refined", "ascent": " refined by its gradient"}
 # in another world than it was learned in
-ONWARD = {"": "", "refinement": ", refined on", "ascent": ", refined on by its gradient"}
+ONWARD = {"refinement": ", refined on", "ascent": ", refined on by its gradient"}
 OVERRIDABLE = ("vehicle", "track", "sim", "dr")
 
 
@@ -159,7 +159,7 @@ def learned(settings: Mapping[str, Any]) -> str:
     refined = improved_by(budget) if isinstance(budget, Mapping) else ""
     if name == "trained":
         before = str(algorithm.get("learned"))
-        known = next((words for words in ONWARD.values() if words and before.endswith(words)), "")
+        known = next((words for words in ONWARD.values() if before.endswith(words)), "")
         return before.removesuffix(known) + ONWARD[refined] if refined else before
     by = ("PPO" if name == "ppo" else name) + (" drifting first" if algorithm.get("drift") else "")
     by = ("recurrent " if algorithm.get("recurrent") else "") + by

@@ -96,11 +96,10 @@ class Climb:
     def __init__(self, settings: Ascent, policy: AnyPolicy, lead: Race | Races, race: Race | Races, seed: int) -> None:
         """`lead` and `race` have as many cars; the policy's weights are changed in place."""
         self.settings, self.lead, self.race = settings, lead, race
-        dice = torch.Generator(lead.device).manual_seed(seed)
-        self.practice = Practice(lead, policy, settings, dice)
+        self.practice = Practice(lead, policy, settings, torch.Generator(lead.device).manual_seed(seed))
         self.network: nn.Module = policy.network.requires_grad_()
         self.adam = torch.optim.Adam(self.network.parameters(), lr=settings.learning_rate[0], betas=BETAS)
-        self.dice, self.done = dice, 0
+        self.done = 0
 
     def advance(self) -> dict[str, float]:
         """Take one step of the weights; return its measures."""
@@ -121,8 +120,7 @@ class Climb:
     def _drive(self) -> tuple[Tensor, Tensor]:
         """Return what all cars make (N,) in m, by the weights differentiable, and which of them crashed."""
         race, settings = self.race, self.settings
-        fresh = {"age": torch.zeros_like(self.lead.age), "dice": race.dice.snapshot()}
-        race.restore({**self.lead.snapshot(), **fresh})
+        self.practice.copy_into(race)
         memory, layers = self.practice.memory, maps(self.network)
         crashed = torch.zeros(race.count, dtype=torch.bool, device=race.device)
         made = torch.zeros(race.count, device=race.device)
@@ -137,18 +135,14 @@ class Climb:
 
     def snapshot(self) -> dict[str, Tensor]:
         """Return all that the next update depends on, but for its number."""
-        tensors = {f"network.{name}": tensor for name, tensor in self.network.state_dict().items()}
-        tensors |= {f"adam.{name}": tensor for name, tensor in optimizer_tensors(self.adam).items()}
-        tensors |= {f"lead.{name}": tensor for name, tensor in self.practice.snapshot().items()}
-        return tensors | {"race.dice": self.race.dice.snapshot(), "dice": self.dice.get_state()}
+        moments = {f"adam.{name}": tensor for name, tensor in optimizer_tensors(self.adam).items()}
+        return self.practice.snapshot() | moments | {"race.dice": self.race.dice.snapshot()}
 
     def restore(self, tensors: dict[str, Tensor], state: Mapping[str, Any]) -> None:
         """Go on from a snapshot."""
-        self.network.load_state_dict(section(tensors, "network."))
+        self.practice.restore(tensors)
         load_optimizer(self.adam, section(tensors, "adam."))
-        self.practice.restore(section(tensors, "lead."))
         self.race.dice.restore(tensors["race.dice"])
-        self.dice.set_state(tensors["dice"])
         self.done = state["done"]
 
 

@@ -9,6 +9,7 @@ from racerl.control.networks import forgotten
 from racerl.control.policy import AnyPolicy
 from racerl.env.race import Race
 from racerl.env.races import Races
+from racerl.train.checkpoint import section
 
 
 class Rhythm(Protocol):
@@ -65,13 +66,23 @@ class Practice:
         self.starts = torch.where(cars, self.race.state, self.starts)
         self.commands = torch.where(cars, self.race.command, self.commands)
 
-    def snapshot(self) -> dict[str, Tensor]:
-        """Return all that what it does next depends on, but for the dice."""
-        kept = {"starts": self.starts, "start_commands": self.commands, "memory": self.memory}
-        return {**self.race.snapshot(), **kept}
+    def copy_into(self, race: Race | Races) -> None:
+        """Put the cars of a race, as many or a multiple, where these stand, at the first step of an episode."""
+        kept = {**self.race.snapshot(), "age": torch.zeros_like(self.race.age)}
+        times = race.count // self.race.count
+        copies = {name: torch.cat([rows] * times, dim=-1) for name, rows in kept.items() if name != "dice"}
+        race.restore({**copies, "dice": race.dice.snapshot()})
 
-    def restore(self, kept: dict[str, Tensor]) -> None:
+    def snapshot(self) -> dict[str, Tensor]:
+        """Return all that what it does next depends on: cars, dice and the policy's weights."""
+        tensors = {f"network.{name}": tensor for name, tensor in self.policy.network.state_dict().items()}
+        cars = {"starts": self.starts, "start_commands": self.commands, "memory": self.memory, **self.race.snapshot()}
+        return tensors | {f"lead.{name}": tensor for name, tensor in cars.items()} | {"dice": self.dice.get_state()}
+
+    def restore(self, tensors: dict[str, Tensor]) -> None:
         """Go on from a snapshot."""
-        names = ("starts", "start_commands", "memory")
-        self.starts, self.commands, self.memory = (kept.pop(name).to(self.race.device) for name in names)
-        self.race.restore(kept)
+        self.policy.network.load_state_dict(section(tensors, "network."))
+        cars, names = section(tensors, "lead."), ("starts", "start_commands", "memory")
+        self.starts, self.commands, self.memory = (cars.pop(name).to(self.race.device) for name in names)
+        self.race.restore(cars)
+        self.dice.set_state(tensors["dice"])

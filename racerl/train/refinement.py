@@ -32,7 +32,6 @@ from racerl.control.policy import AnyPolicy
 from racerl.env.race import Race
 from racerl.env.races import Races
 from racerl.env.termination import CRASH_DISTANCE, Crash
-from racerl.train.checkpoint import section
 from racerl.train.improve import falling
 from racerl.train.practice import Practice
 from racerl.train.session import Session
@@ -152,18 +151,14 @@ class Search:
 
     def snapshot(self) -> dict[str, Tensor]:
         """Return all that the next generation depends on, but for its number."""
-        tensors = {f"network.{name}": tensor for name, tensor in self.network.state_dict().items()}
-        tensors |= {f"momentum.{i}": tensor for i, tensor in enumerate(self.momentum)}
-        tensors |= {f"lead.{name}": tensor for name, tensor in self.practice.snapshot().items()}
-        return tensors | {"race.dice": self.race.dice.snapshot(), "dice": self.dice.get_state()}
+        momentum = {f"momentum.{i}": tensor for i, tensor in enumerate(self.momentum)}
+        return self.practice.snapshot() | momentum | {"race.dice": self.race.dice.snapshot()}
 
     def restore(self, tensors: dict[str, Tensor], state: Mapping[str, Any]) -> None:
         """Go on from a snapshot."""
-        self.network.load_state_dict(section(tensors, "network."))
+        self.practice.restore(tensors)
         self.momentum = [tensors[f"momentum.{i}"].to(self.lead.device) for i in range(len(self.maps))]
-        self.practice.restore(section(tensors, "lead."))
         self.race.dice.restore(tensors["race.dice"])
-        self.dice.set_state(tensors["dice"])
         self.done = state["done"]
 
     def _normal(self, scales: Sequence[Tensor]) -> list[tuple[Tensor, Tensor]]:
@@ -178,9 +173,7 @@ class Search:
 
     def _begin(self) -> None:
         """Put both cars of every pair where a car stands that the policy drives."""
-        kept = {**self.lead.snapshot(), "age": torch.zeros_like(self.lead.age)}
-        twice = {name: torch.cat([rows, rows], dim=-1) for name, rows in kept.items() if name != "dice"}
-        self.race.restore({**twice, "dice": self.race.dice.snapshot()})
+        self.practice.copy_into(self.race)
 
     def _fitness(self, normal: Sequence[tuple[Tensor, Tensor]], sizes: Sequence[Tensor]) -> Tensor:
         """Return what all cars make (2 P,) in m: progress until they crash, less the price of the boundary."""

@@ -12,7 +12,7 @@ from racerl.config import compose_settings
 from racerl.control.networks import RecurrentNetwork, build_network
 from racerl.control.policy import UNREFINED, Policy, RecurrentPolicy, load_policy
 from racerl.env.termination import Crash
-from racerl.errors import ConfigError, RunError
+from racerl.errors import ConfigError
 from racerl.evaluate.evaluate import learned
 from racerl.train import session
 from racerl.train import train as training
@@ -20,6 +20,7 @@ from racerl.train.ascent import Ascent, Climb, _Limited
 from racerl.train.improve import FILE
 from racerl.train.train import train
 from tests.train.pulled import Plug, logged, pull_at
+from tests.train.short import ascent
 
 SMOKE = ["budget=smoke", "threads=1", "budget.steps=1024"]
 PLAN = Ascent(
@@ -36,19 +37,6 @@ PLAN = Ascent(
     reserve=0.05,
 )
 STEP = 2e-4  # of finite differences: larger ones cross kinks of the network
-SHORT = {
-    "updates": 4,
-    "evaluations": 4,
-    "cars": 16,
-    "horizon": 20,
-    "between": 5,
-    "episode": 40,
-    "again": 0.9,
-    "learning_rate": "[0.001,0.0001]",
-    "gradient_norm": 20.0,
-    "price": 400.0,
-    "reserve": 0.05,
-}
 WORLDS = {
     "plain": [],
     "drawn": ["+dr=friction_0.02", "dr.sigma=0.1"],
@@ -58,11 +46,6 @@ WORLDS = {
     "direct": ["action=speed"],
     "two tracks": ["track=[oval,bean]"],
 }
-
-
-def asked(**changes):
-    """The word for an ascent of a moment."""
-    return f"+budget.ascent={{{','.join(f'{key}:{value}' for key, value in {**SHORT, **changes}.items())}}}"
 
 
 def climb(plan=PLAN, *words, recurrent=False):
@@ -172,7 +155,7 @@ def _norm(made, found):
 
 @pytest.mark.parametrize("period", [0.0, pytest.param(1e6, marks=pytest.mark.slow)])
 def test_an_interrupted_ascent_goes_on_where_it_was(period, tmp_path, monkeypatch):
-    words = [*SMOKE, asked(), "budget.refinement=null", "+dr=friction_0.02"]
+    words = [*SMOKE, ascent(), "budget.refinement=null", "+dr=friction_0.02"]
     whole = train(compose_settings("train", words), tmp_path / "whole")
     monkeypatch.setattr(session, "CHECKPOINT_PERIOD", period)
     with pytest.raises(Plug):
@@ -191,31 +174,14 @@ def test_its_policies_say_how_they_were_made():
     assert learned(compose_settings("train", ["budget=ascent"])) == "PPO refined by its gradient"
 
 
-def test_weights_that_are_lost_leave_the_policy_from_before(tmp_path, monkeypatch):
-    advance = Climb.advance
-
-    def poisoned(found):
-        measures = advance(found)
-        if found.done == 2:
-            with torch.no_grad():
-                next(found.network.parameters()).fill_(float("inf"))
-        return measures
-
-    monkeypatch.setattr(Climb, "advance", poisoned)
-    with pytest.raises(RunError, match=r"policy's weights are not finite; lower budget\.ascent\.learning_rate"):
-        train(compose_settings("train", [*SMOKE, asked()]), tmp_path / "run")
-    policy = load_policy(tmp_path / "run")
-    assert all(bool(weight.isfinite().all()) for weight in policy.network.parameters())
-
-
 @pytest.mark.parametrize(
     ("word", "said"),
     [
-        (asked(cars=0), "cars"),
-        (asked(learning_rate=0.1), "two numbers"),
-        (asked(price=-1), "price"),
-        (asked(gradient_norm=0), "gradient_norm"),
-        (asked(pairs=2), "no setting 'pairs'"),
+        (ascent(cars=0), "cars"),
+        (ascent(learning_rate=0.1), "two numbers"),
+        (ascent(price=-1), "price"),
+        (ascent(gradient_norm=0), "gradient_norm"),
+        (ascent(pairs=2), "no setting 'pairs'"),
         ("+budget.ascent=3", "or null"),
     ],
 )

@@ -16,13 +16,14 @@ from racerl.control.policy import load_policy
 from racerl.errors import ConfigError, RunError
 from racerl.run import RunFolder
 from racerl.train import session
+from racerl.train.ascent import Climb
 from racerl.train.checkpoint import FILE as CHECKPOINT
 from racerl.train.ppo import RacePPO
 from racerl.train.refinement import Search
 from racerl.train.session import rank
 from racerl.train.train import train
 from tests.train.pulled import Plug, logged, pull_at
-from tests.train.short import refinement
+from tests.train.short import ascent, refinement
 
 SMOKE = ["budget=smoke", "threads=1"]
 
@@ -176,19 +177,26 @@ def test_a_learner_that_diverges_stops_and_leaves_its_last_good_policy(rollouts,
     assert all(bool(weight.isfinite().all()) for weight in policy.network.parameters())
 
 
-def test_a_refinement_that_diverges_leaves_the_policy_from_before(tmp_path, monkeypatch):
-    advance = Search.advance
+@pytest.mark.parametrize(
+    ("improver", "word", "number"),
+    [
+        (Search, refinement(generations=4, evaluations=4), r"refinement\.step"),
+        (Climb, ascent(), r"ascent\.learning_rate"),
+    ],
+)
+def test_a_refinement_that_diverges_leaves_the_policy_from_before(improver, word, number, tmp_path, monkeypatch):
+    advance = improver.advance
 
-    def poisoned(search):
-        measures = advance(search)
-        if search.done == 2:
+    def poisoned(found):
+        measures = advance(found)
+        if found.done == 2:
             with torch.no_grad():
-                search.maps[-1][1].fill_(float("inf"))
+                [*found.network.parameters()][-1].fill_(float("inf"))
         return measures
 
-    monkeypatch.setattr(Search, "advance", poisoned)
-    with pytest.raises(RunError, match=r"policy's weights are not finite; lower budget\.refinement\.step"):
-        train(compose_settings("train", [*SMOKE, refinement(generations=4, evaluations=4)]), tmp_path / "run")
+    monkeypatch.setattr(improver, "advance", poisoned)
+    with pytest.raises(RunError, match=rf"policy's weights are not finite; lower budget\.{number}"):
+        train(compose_settings("train", [*SMOKE, word]), tmp_path / "run")
     policy = load_policy(tmp_path / "run")
     assert all(bool(weight.isfinite().all()) for weight in policy.network.parameters())
 
