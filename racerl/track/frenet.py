@@ -5,8 +5,8 @@ downhill to the bottom of its valley. On a regular stretch that valley stays the
 the track comes closer, so a car never jumps across an infield. In a hairpin tighter than the track is wide, 1 − κn
 vanishes inside the track; valleys meet there, parted by ridges of a percent, and the walk steps over those.
 
-On the CPU in single precision the walk and the look-ups run as compiled C (`racerl.track.kernel`); the tensors below
-say the same and run everywhere else, and where gradients are asked for.
+On the CPU in single precision the walk and the look-ups run as compiled C (`racerl.track.kernel`), which has their
+gradients; the tensors below say the same and run everywhere else.
 
 Within a table cell the centreline is an arc of its curvature κ. With (a, b) the car relative to the cell's point,
 along and left of it:  Δs = atan(κa/(1 − κb))/κ,  n = (2b − κ(a² + b²))/(1 + √((1 − κb)² + κ²a²)).
@@ -83,7 +83,7 @@ class FrenetFrame:
 
     def lookup(self, s: Tensor, *tables: Tensor) -> list[Tensor]:
         """Interpolate tables linearly and periodically at s of any shape."""
-        if self._kernel is not None and not s.requires_grad:
+        if self._kernel is not None:
             return self._kernel.lookup(tables, s, self.spacing)
         position = self.wrap(s) / self.spacing
         cell = position.floor()
@@ -124,7 +124,7 @@ class FrenetFrame:
 
     def locate(self, x: Tensor, y: Tensor, yaw: Tensor, s_last: Tensor) -> tuple[Tensor, Tensor]:
         """Return the places (5, N), rows as in PLACE, of cars at x, y, heading yaw (N,), and their way from s_last."""
-        if self._kernel is not None and not x.requires_grad:
+        if self._kernel is not None:
             found = self._kernel.locate(self._cells, x, y, yaw, s_last, self.spacing, self._middle)
             return found[:5], found[5]
         foot = self.project(x, y, s_last)

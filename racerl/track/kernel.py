@@ -7,7 +7,7 @@ import ctypes
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor
@@ -42,16 +42,18 @@ static inline long downhill(const float (*cells)[8], long count, long from, long
     return best;
 }}
 
-/* s, n and the centreline's direction of the foot of (x, y), followed from `last` */
-static inline void foot_of(const float (*cells)[8], long count, float spacing, long reach, float x, float y, float last,
-                           float *s, float *n, float *direction) {{
+/* where the foot of (x, y), followed from `last`, is: its cell and m from there, s, n, the centreline's direction */
+struct foot {{ long at; float ds, s, n, direction, stretch; }};
+static inline struct foot foot_of(const float (*cells)[8], long count, float spacing, long reach, float x, float y,
+                                  float last) {{
+    struct foot found;
     float ahead, behind;
     long from = lroundf(last / spacing) % count;
     from = from < 0 ? from + count : from;  /* NaN lands in the table too */
     long forth = downhill(cells, count, from, 1, reach, x, y, &ahead);
     long back = downhill(cells, count, from, -1, reach, x, y, &behind);
-    long at = (from + (ahead <= behind ? forth : -back) + count) % count;
-    const float *cell = cells[at];
+    found.at = (from + (ahead <= behind ? forth : -back) + count) % count;
+    const float *cell = cells[found.at];
     float dx = x - cell[0], dy = y - cell[1], kappa = cell[5];
     float along = dx * cell[3] + dy * cell[4], left = dy * cell[3] - dx * cell[4];
     float stretch = 1 - kappa * left;
@@ -60,21 +62,28 @@ static inline void foot_of(const float (*cells)[8], long count, float spacing, l
     ds = ds > spacing ? spacing : ds < -spacing ? -spacing : ds;
     float squared = along * along + left * left;
     if (stretch > 0)
-        *n = (2 * left - kappa * squared) / (1 + sqrtf(stretch * stretch + kappa * along * kappa * along));
+        found.n = (2 * left - kappa * squared) / (1 + sqrtf(stretch * stretch + kappa * along * kappa * along));
     else {{
         ds = 0;
-        *n = left > 0 ? sqrtf(squared) : left < 0 ? -sqrtf(squared) : 0;
+        found.n = left > 0 ? sqrtf(squared) : left < 0 ? -sqrtf(squared) : 0;
     }}
-    float place = at * spacing + ds, length = count * spacing;
+    float place = found.at * spacing + ds, length = count * spacing;
     place = place < 0 ? place + length : place;
-    *s = place >= length ? place - length : place;
-    *direction = wrap_angle(cell[2] + kappa * ds);
+    found.s = place >= length ? place - length : place;
+    found.direction = wrap_angle(cell[2] + kappa * ds);
+    found.ds = ds;
+    found.stretch = stretch;
+    return found;
 }}
 
 void project(const float (*cells)[8], long count, float spacing, long reach, const float *x, const float *y,
              const float *last, float *s, float *n, float *direction, long cars) {{
-    for (long car = 0; car < cars; car++)
-        foot_of(cells, count, spacing, reach, x[car], y[car], last[car], &s[car], &n[car], &direction[car]);
+    for (long car = 0; car < cars; car++) {{
+        struct foot foot = foot_of(cells, count, spacing, reach, x[car], y[car], last[car]);
+        s[car] = foot.s;
+        n[car] = foot.n;
+        direction[car] = foot.direction;
+    }}
 }}
 
 /* rows of `place`: s, n, heading against the centreline, offset from the middle, margin to the nearer boundary; and
@@ -83,18 +92,46 @@ void locate(const float (*cells)[8], long count, float spacing, long reach, cons
             const float *yaw, const float *last, float *place, long cars) {{
     const float length = count * spacing;
     for (long car = 0; car < cars; car++) {{
-        float s, n, direction;
-        foot_of(cells, count, spacing, reach, x[car], y[car], last[car], &s, &n, &direction);
-        float position = s / spacing, cell = floorf(position), share = position - cell;
+        struct foot foot = foot_of(cells, count, spacing, reach, x[car], y[car], last[car]);
+        float position = foot.s / spacing, cell = floorf(position), share = position - cell;
         long at = cell >= 0 && cell < count ? (long)cell : 0, next = at + 1 >= count ? 0 : at + 1;  /* NaN too */
-        float offset = n - (cells[at][6] + share * (cells[next][6] - cells[at][6]));
-        place[car] = s;
-        place[cars + car] = n;
-        place[2 * cars + car] = wrap_angle(yaw[car] - direction);
+        float offset = foot.n - (cells[at][6] + share * (cells[next][6] - cells[at][6]));
+        place[car] = foot.s;
+        place[cars + car] = foot.n;
+        place[2 * cars + car] = wrap_angle(yaw[car] - foot.direction);
         place[3 * cars + car] = offset;
         place[4 * cars + car] = cells[at][7] + share * (cells[next][7] - cells[at][7]) - fabsf(offset);
-        float way = s - last[car] + length / 2;
+        float way = foot.s - last[car] + length / 2;
         place[5 * cars + car] = way - length * floorf(way / length) - length / 2;
+    }}
+}}
+
+/* cotangents of x, y, yaw and `last` for those of what `locate` has found:
+   ds = (cos ψ dx + sin ψ dy)/(1 − κn), dn = cos ψ dy − sin ψ dx, ψ the centreline's direction and dψ = κ ds */
+void pull_locate(const float (*cells)[8], long count, float spacing, long reach, const float *x, const float *y,
+                 const float *yaw, const float *last, const float *of, float *pulled, long cars) {{
+    for (long car = 0; car < cars; car++) {{
+        struct foot foot = foot_of(cells, count, spacing, reach, x[car], y[car], last[car]);
+        const float *own = cells[foot.at];
+        float kappa = own[5], room = 1 - kappa * foot.n, c = cosf(foot.direction), d = sinf(foot.direction);
+        room = room < SMALLEST_STRETCH ? SMALLEST_STRETCH : room;
+        float rate = foot.stretch > 0 && fabsf(foot.ds) < spacing ? 1 / room : 0, n_x = -d, n_y = c;
+        if (!(foot.stretch > 0)) {{  /* there n is the distance to the cell's point */
+            n_x = foot.n != 0 ? (x[car] - own[0]) / foot.n : 0;
+            n_y = foot.n != 0 ? (y[car] - own[1]) / foot.n : 0;
+        }}
+        float position = foot.s / spacing, cell = floorf(position), share = position - cell;
+        long at = cell >= 0 && cell < count ? (long)cell : 0, next = at + 1 >= count ? 0 : at + 1;
+        float middle = cells[next][6] - cells[at][6], half = (cells[next][7] - cells[at][7]) / spacing;
+        float offset = foot.n - (cells[at][6] + share * middle);
+        float of_offset = of[3 * cars + car] - (offset > 0 ? 1 : offset < 0 ? -1 : 0) * of[4 * cars + car];
+        float of_n = of[cars + car] + of_offset;
+        float of_s = of[car] + of[5 * cars + car] + half * of[4 * cars + car] - middle / spacing * of_offset
+                     - kappa * of[2 * cars + car];
+        pulled[car] = rate * c * of_s + n_x * of_n;
+        pulled[cars + car] = rate * d * of_s + n_y * of_n;
+        pulled[2 * cars + car] = of[2 * cars + car];
+        pulled[3 * cars + car] = -of[5 * cars + car];
     }}
 }}
 
@@ -143,6 +180,20 @@ void lookup(const float *const *tables, long rows, long count, float spacing, co
         }}
     }}
 }}
+
+/* cotangents of s for those of what `lookup` has found */
+void pull_lookup(const float *const *tables, long rows, long count, float spacing, const float *s, const float *of,
+                 float *pulled, long numbers) {{
+    const float length = count * spacing;
+    for (long i = 0; i < numbers; i++) {{
+        float sum = 0;
+        int index = (int)floorf((s[i] - length * floorf(s[i] / length)) / spacing);
+        int at = index >= (int)count ? index - (int)count : index < 0 ? 0 : index;
+        int next = at + 1 >= (int)count ? 0 : at + 1;
+        for (long row = 0; row < rows; row++) sum += of[row * numbers + i] * (tables[row][next] - tables[row][at]);
+        pulled[i] = sum / spacing;
+    }}
+}}
 """
 
 
@@ -171,12 +222,10 @@ class TrackKernel:
     def locate(
         self, cells: Tensor, x: Tensor, y: Tensor, yaw: Tensor, s_last: Tensor, spacing: float, reach: int
     ) -> Tensor:
-        """Return s, n, heading, offset, margin and the way from `s_last`, (6, N)."""
+        """Return s, n, heading, offset, margin and the way from `s_last`, (6, N); differentiable."""
         given = [t.to(cells.dtype).contiguous() for t in (x, y, yaw, s_last)]
-        place = torch.empty(6, x.numel(), dtype=cells.dtype)
-        pointers = (t.data_ptr() for t in (*given, place))
-        self.compiled.locate(cells.data_ptr(), cells.shape[0], spacing, reach, *pointers, x.numel())
-        return place
+        call = _Call(self.compiled, (cells.data_ptr(), cells.shape[0], spacing, reach))
+        return cast(Tensor, _Located.apply(call, *given)) if torch.is_grad_enabled() else call.locate(given)
 
     def position(self, cells: Tensor, s: Tensor, n: Tensor, spacing: float) -> tuple[Tensor, Tensor, Tensor]:
         """Return x, y and the centreline's yaw at (s, n), each (N,)."""
@@ -187,12 +236,65 @@ class TrackKernel:
         return x, y, yaw
 
     def lookup(self, tables: Sequence[Tensor], s: Tensor, spacing: float) -> list[Tensor]:
-        """Return the tables (M,) interpolated linearly and periodically at s of any shape."""
-        s = s.to(tables[0].dtype).contiguous()
-        out = torch.empty((len(tables), *s.shape), dtype=s.dtype)
+        """Return the tables (M,) interpolated linearly and periodically at s of any shape; differentiable."""
+        given = s.to(tables[0].dtype).contiguous()
         rows = (ctypes.c_void_p * len(tables))(*(table.data_ptr() for table in tables))
-        self.compiled.lookup(rows, len(tables), tables[0].shape[0], spacing, s.data_ptr(), out.data_ptr(), s.numel())
-        return list(out.unbind())
+        call = _Call(self.compiled, (rows, len(tables), tables[0].shape[0], spacing))
+        found = _LookedUp.apply(call, given) if torch.is_grad_enabled() else call.lookup(given)
+        return list(found.unbind())
+
+
+@dataclass(frozen=True)
+class _Call:
+    """The compiled functions and what they are told of a track first; numbers come and go in single precision."""
+
+    compiled: Any
+    track: tuple[Any, ...]
+
+    def locate(self, given: Sequence[Tensor]) -> Tensor:
+        return self._fill("locate", 6, given, given[0].shape)
+
+    def pull_locate(self, given: Sequence[Tensor], cotangent: Tensor) -> Tensor:
+        return self._fill("pull_locate", 4, (*given, cotangent.contiguous()), given[0].shape)
+
+    def lookup(self, s: Tensor) -> Tensor:
+        return self._fill("lookup", self.track[1], (s,), s.shape)
+
+    def pull_lookup(self, s: Tensor, cotangent: Tensor) -> Tensor:
+        return self._fill("pull_lookup", 1, (s, cotangent.contiguous()), s.shape)[0]
+
+    def _fill(self, name: str, rows: int, given: Sequence[Tensor], shape: torch.Size) -> Tensor:
+        out = torch.empty((rows, *shape), dtype=given[0].dtype)
+        getattr(self.compiled, name)(*self.track, *(t.data_ptr() for t in (*given, out)), given[0].numel())
+        return out
+
+
+class _Located(torch.autograd.Function):
+    """`locate` with its gradient."""
+
+    @staticmethod
+    def forward(ctx: Any, call: _Call, *given: Tensor) -> Tensor:
+        ctx.call = call
+        ctx.save_for_backward(*given)
+        return call.locate(given)
+
+    @staticmethod
+    def backward(ctx: Any, *cotangents: Tensor) -> tuple[Tensor | None, ...]:
+        return None, *ctx.call.pull_locate(ctx.saved_tensors, cotangents[0])
+
+
+class _LookedUp(torch.autograd.Function):
+    """`lookup` with its gradient."""
+
+    @staticmethod
+    def forward(ctx: Any, call: _Call, s: Tensor) -> Tensor:
+        ctx.call = call
+        ctx.save_for_backward(s)
+        return call.lookup(s)
+
+    @staticmethod
+    def backward(ctx: Any, *cotangents: Tensor) -> tuple[Tensor | None, ...]:
+        return None, ctx.call.pull_lookup(*ctx.saved_tensors, cotangents[0])
 
 
 @functools.cache
@@ -204,8 +306,10 @@ def load_kernel(ridge: float, smallest_stretch: float) -> TrackKernel | None:
     pointer, whole, number = ctypes.c_void_p, ctypes.c_long, ctypes.c_float
     library.project.argtypes = [pointer, whole, number, whole, *[pointer] * 6, whole]
     library.locate.argtypes = [pointer, whole, number, whole, *[pointer] * 5, whole]
+    library.pull_locate.argtypes = [pointer, whole, number, whole, *[pointer] * 6, whole]
     library.lookup.argtypes = [pointer, whole, whole, number, pointer, pointer, whole]
+    library.pull_lookup.argtypes = [pointer, whole, whole, number, *[pointer] * 3, whole]
     library.position.argtypes = [pointer, whole, number, *[pointer] * 5, whole]
-    for function in (library.project, library.locate, library.position, library.lookup):
-        function.restype = None
+    for name in ("project", "locate", "pull_locate", "position", "lookup", "pull_lookup"):
+        getattr(library, name).restype = None
     return TrackKernel(library)

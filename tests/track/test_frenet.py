@@ -187,3 +187,27 @@ def test_places_are_projections_with_the_boundaries_at_hand(device_type):
     assert torch.allclose(place[3], foot.n - middle, atol=1e-6)
     assert torch.allclose(place[4], half_width - (foot.n - middle).abs(), atol=1e-6)
     assert torch.allclose(way, frame.difference(foot.s, last), atol=1e-5)
+
+
+def test_slopes_of_places_and_lookups_in_c_are_those_of_the_tensors():
+    """Beside the boundary, behind the centre of the hairpin and at the seam; the tensors' are autograd's, in double."""
+    single, exact = FrenetFrame(TRACK), FRAME
+    generator = torch.Generator().manual_seed(0)
+    s, moved, n, turn = torch.rand(4, 20_000, generator=generator, dtype=torch.float64)
+    x, y, yaw = exact.position(s * TRACK.length, 1.6 * (n - 0.5))
+    given = x, y, yaw + 2 * (turn - 0.5), exact.wrap(s * TRACK.length + 0.6 * (moved - 0.5))
+    weights = torch.randn(8, 20_000, generator=generator, dtype=torch.float64)
+
+    def slopes(frame):
+        inputs = [each.to(frame.x.dtype).requires_grad_() for each in given]
+        place, way = frame.locate(*inputs)
+        tables = frame.lookup(inputs[3], frame.curvature, frame.half_width)
+        made = (torch.cat([place, way[None], torch.stack(tables)]) * weights.to(frame.x.dtype)).sum()
+        return torch.stack(torch.autograd.grad(made, inputs)).double()
+
+    expected = slopes(exact)
+    apart = (slopes(single) - expected).norm(dim=0) / expected.norm(dim=0)
+    # where two cells are equally near, single precision may take the other one
+    assert apart.median() < 1e-5 and (apart < 1e-2).double().mean() > 0.98
+    behind = 1 - exact.lookup(given[3], exact.curvature)[0] * (1.6 * (n - 0.5)) < 0
+    assert behind.sum() > 50 and (apart[behind] < 1e-2).double().mean() > 0.9
