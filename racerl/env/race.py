@@ -23,7 +23,7 @@ from racerl.env.observations import Observation, scaled
 from racerl.env.randomize import ParameterDraws, Randomization
 from racerl.env.reward import progress_reward
 from racerl.env.sensing import samples, seen, shown
-from racerl.env.termination import STOP_SPEED, OffTrack, Termination
+from racerl.env.termination import STOP_SPEED, OffTrack, Termination, clearance
 from racerl.errors import ConfigError
 from racerl.track.frenet import PLACE, FrenetFrame
 from racerl.track.track import Track
@@ -266,11 +266,11 @@ class Race(Rows):
     def drive_on(self, action: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Drive all cars for one control step with actions (N, 2), differentiably; none of them starts over.
 
-        Returns the progress in m, the margin in m and the cars whose episode would end, (N,) each.
+        Returns the progress in m, the clearance in m and the cars whose episode would end, (N,) each.
         """
         self._apply(action)
         progress, faulty = self._move()
-        return progress, self.margin, self.termination(self) | faulty
+        return progress, clearance(self), self.termination(self) | faulty
 
     def _apply(self, action: Tensor) -> None:
         last = self.command

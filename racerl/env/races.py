@@ -103,10 +103,10 @@ class Races:
         )
 
     def drive_on(self, action: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Drive all cars for one control step, differentiably: progress, margin and who would end, (N,) each."""
+        """Drive all cars for one control step, differentiably: progress, clearance and who would end, (N,) each."""
         found = [race.drive_on(own) for race, own in zip(self.races, action.split(self.counts), strict=True)]
-        progress, margin, ended = (torch.cat(parts) for parts in zip(*found, strict=True))
-        return progress, margin, ended
+        progress, clear, ended = (torch.cat(parts) for parts in zip(*found, strict=True))
+        return progress, clear, ended
 
     def restart(self, mask: Tensor) -> None:
         """Start the masked cars (N,) over."""

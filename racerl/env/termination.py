@@ -8,11 +8,13 @@
 import math
 from typing import Protocol
 
+import torch
 from torch import Tensor
 
 CRASH_DISTANCE = 0.2  # m beyond the boundary
 STOP_SPEED = 0.1  # m/s
 HALF_TURN = math.pi / 2  # rad
+LEVER = 0.33  # m of clearance per rad that is left to it
 STOP_TIME = 1.0  # s below that speed
 
 
@@ -53,6 +55,11 @@ class Crash:
     def __call__(self, race: Situation) -> Tensor:
         """Return the cars far off, spun or standing."""
         return (race.margin < -CRASH_DISTANCE) | _spun(race) | (race.still_time > STOP_TIME)
+
+
+def clearance(race: Situation) -> Tensor:
+    """Return how far cars are from leaving the track or spinning, in m, (N,); it has a slope in the state."""
+    return torch.minimum(race.margin, LEVER * (HALF_TURN - race.heading.abs()))
 
 
 def _spun(race: Situation) -> Tensor:

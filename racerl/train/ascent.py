@@ -4,10 +4,14 @@ Cars drive on from states in which the policy drives. What each makes of it unti
 
     F = Σ Δs − price Σ max(0, reserve − d)² Δt,
 
-the metres of progress less a price for being closer to the boundary than the reserve, d the distance to it; once
-crashed a car makes nothing and counts as 0.2 m beyond the boundary. Car, track, observation and network are
-differentiated backwards through all control steps (backpropagation through time), the car by the adjoint of its
-compiled step: ∂F/∂θ is exact where no car crashes and nothing is at a limit. Adam climbs it.
+the metres of progress less a price for being closer to the boundary than the reserve, d the distance to it; what is
+left of a quarter turn against the track counts as distance, too, since a spin ends an episode without a slope of its
+own. Once crashed a car makes nothing and counts as 0.2 m beyond the boundary. Car, track, observation and network are
+differentiated backwards through all control steps (backpropagation through time), car and track by the adjoints of
+their compiled code: ∂F/∂θ is exact where no car crashes and nothing is at a limit.
+
+Adam climbs it, rectified (RAdam): its first steps are small, since they go by the signs of one gradient, and a policy
+at its limits does not survive bold ones.
 
 The square lets the price rise evenly. With a price that begins at once, as the refinement has it, the gradient leaps
 at the reserve, steps go to and fro across it, and laps stay where they are.
@@ -35,7 +39,7 @@ from racerl.train.improve import falling
 from racerl.train.practice import Practice
 from racerl.train.session import Session
 
-BETAS = (0.9, 0.99)  # of Adam; the second forgets in a hundred steps, of which there are few hundreds
+BETAS = (0.9, 0.99)  # of RAdam; the second forgets in a hundred steps, of which there are few hundreds
 
 
 @dataclass(frozen=True)
@@ -98,7 +102,7 @@ class Climb:
         self.settings, self.lead, self.race = settings, lead, race
         self.practice = Practice(lead, policy, settings, torch.Generator(lead.device).manual_seed(seed))
         self.network: nn.Module = policy.network.requires_grad_()
-        self.adam = torch.optim.Adam(self.network.parameters(), lr=settings.learning_rate[0], betas=BETAS)
+        self.adam = torch.optim.RAdam(self.network.parameters(), lr=settings.learning_rate[0], betas=BETAS)
         self.done = 0
 
     def advance(self) -> dict[str, float]:
@@ -126,10 +130,10 @@ class Climb:
         made = torch.zeros(race.count, device=race.device)
         for _ in range(settings.horizon):
             action, memory = walk(self.network, race.observe(), memory, lambda i, x: linear(x, *layers[i]))
-            progress, margin, ended = race.drive_on(_Limited.apply(action))
+            progress, clear, ended = race.drive_on(_Limited.apply(action))
             crashed = crashed | ended
             memory = forgotten(memory, ended)
-            close = (settings.reserve - margin.masked_fill(crashed, -CRASH_DISTANCE)).clamp(min=0.0)
+            close = (settings.reserve - clear.masked_fill(crashed, -CRASH_DISTANCE)).clamp(min=0.0)
             made = made + progress.masked_fill(crashed, 0.0) - settings.price * race.timing.dt * close.square()
         return made, crashed
 

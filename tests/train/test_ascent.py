@@ -130,6 +130,24 @@ def test_the_boundary_has_a_price():
     assert crashed.all() and float(lost.detach().max()) < 0.0
 
 
+@pytest.mark.parametrize(("heading", "dear"), [(1.2, False), (1.5, True), (-1.5, True)])
+def test_a_spin_has_a_price_before_it_is_one(heading, dear):
+    """Of cars in the middle of the track; a policy that drives sideways would fall over that edge unwarned."""
+    found = steady(climb(replace(PLAN, horizon=1, reserve=0.1, price=0.0), "track=oval"))
+    lead = found.lead
+    s = torch.linspace(0.0, lead.track.length, PLAN.cars + 1)[1:]
+    state = torch.zeros_like(lead.state)
+    state[0], state[1], state[2] = lead.frame.position(s, torch.zeros_like(s))
+    state[2] += heading
+    state[3] = state[7] = 0.5
+    lead.put(torch.arange(PLAN.cars), state, torch.zeros(2, PLAN.cars))
+    free, crashed = found._drive()
+    found.settings = replace(found.settings, price=100.0)
+    priced, _ = found._drive()
+    assert not crashed.any()
+    assert bool((priced < free - 0.001).all()) if dear else torch.equal(priced, free)
+
+
 def test_cars_that_crash_or_fail_leave_the_others_their_gradient():
     found = climb(replace(PLAN, horizon=80))
     with torch.no_grad():
