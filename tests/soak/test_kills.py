@@ -19,7 +19,7 @@ import pytest
 
 from racerl.rerun import compare
 from racerl.run import is_complete
-from tests.train.short import refinement
+from tests.train.short import ascent, refinement
 
 pytestmark = pytest.mark.soak
 
@@ -32,10 +32,12 @@ from racerl.cli import main
 main()
 """
 REFINED = refinement(generations=60, evaluations=6, pairs=32, horizon=40, episode=80)
+ASCENDED = ascent(updates=60, evaluations=6, horizon=40, episode=80)
 PPO = ["budget=smoke", "threads=1", "+dr=friction_0.02", "budget.final_std=0.1", "budget.normalise=true"]
 SHORT = ["algo.rounds=12", "algo.cars=64", "algo.updates=60", "algo.last_updates=200"]
 CASES = {  # words, and how many kills
     "PPO refined": (["train", *PPO, "budget.steps=120000", "budget.evaluations=10", REFINED], 30),
+    "PPO ascended": (["train", *PPO, "budget.steps=60000", "budget.evaluations=10", ASCENDED], 20),
     "imitation": (["train", "algo=imitation", "threads=1", *SHORT, "budget.refinement=null"], 10),
     "sweep": (["sweep", "actuator_model", *PPO, "budget.steps=20000", "seeds=[0]", "cars=[model]", "threads=1"], 20),
     "gap": (["gap", "../log.parquet", "vehicle=published", "threads=1"], 20),

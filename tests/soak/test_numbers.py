@@ -43,6 +43,7 @@ LONGEST = 600  # letters of a line
 COMMANDS: dict[str, tuple[list[str], Any, bool, bool]] = {
     "train": ([], train, False, False),
     "refine": (["from={run}"], train_onward, False, False),
+    "refine by ascent": (["from={run}", "budget=ascent"], train_onward, False, False),
     "evaluate": (["run={run}", "laps=1", "seeds=[0]"], evaluate, False, True),
     "race": (["controller=pure_pursuit", "laps=1", "seeds=[0]"], race, False, True),
     "record": (["seconds=20", "drive=race"], record, False, True),
@@ -84,7 +85,7 @@ def numeric(settings: Any, where: str = ""):
 
 @pytest.mark.parametrize("name", list(COMMANDS))
 def test_one_line_or_a_sensible_run(name, given, tmp_path, monkeypatch, capsys):
-    words, stage, composing, drives = COMMANDS[name]
+    (words, stage, composing, drives), name = COMMANDS[name], name.split()[0]
     words = [word.format(**given) for word in words]
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(kernel, "build", lambda *_: None)

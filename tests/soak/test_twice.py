@@ -15,7 +15,7 @@ import time
 
 import pytest
 
-from tests.train.short import refinement
+from tests.train.short import ascent, refinement
 
 pytestmark = pytest.mark.soak
 
@@ -26,6 +26,7 @@ COMMANDS = [
     ["data", "log/log.parquet", "out=data"],
     ["train", *SMOKE, "out=trained"],
     ["train", "from=trained", "budget=smoke", "threads=1", refinement(), "out=refined"],
+    ["train", "from=trained", "budget=smoke", "threads=1", ascent(), "out=ascended"],
     ["evaluate", "trained", "laps=2", "seeds=[0,1]", "car=twin", "out=raced"],
     ["evaluate", "controller=mpc", "laps=1", "seeds=[0]", "out=mpc"],
     ["optimum", "track=oval", "out=optimum"],
