@@ -463,9 +463,9 @@ def _unknown_key(command: str, key: str, known: Collection[str]) -> ConfigError:
     group = key.partition(".")[0]
     if "." in key and optional_groups(command) & {group}:
         return ConfigError(f"unknown key '{key}' while {group} is the run's; give {group}=NAME or FILE with it")
-    if key in known:
-        usual = f"the usual {group} has it, the one chosen has not"
-        return ConfigError(f"unknown key '{key}'; {usual}. All keys: {spoken(command)} --cfg job")
+    if having := _having(key, group) if group in default_groups(command) else []:
+        verb = "has" if len(having) == 1 else "have"
+        return ConfigError(f"unknown key '{key}'; {', '.join(having)} {verb} it. All keys: {spoken(command)} --cfg job")
     last, names = key.rpartition(".")[2], sorted(set(known))
     ends = difflib.get_close_matches(last, {name.rpartition(".")[2] for name in names}, n=3, cutoff=0.75)
     near = difflib.get_close_matches(key, names, n=3, cutoff=0.7)
@@ -473,3 +473,8 @@ def _unknown_key(command: str, key: str, known: Collection[str]) -> ConfigError:
     groups = ", ".join(sorted(default_groups(command)))
     told = f"did you mean {' or '.join(near[:3])}?" if near else f"its groups are {groups}." if groups else ""
     return ConfigError(f"unknown key '{key}'; {told} All keys: {spoken(command)} --cfg job")
+
+
+def _having(key: str, group: str) -> list[str]:
+    """Return the words that choose what has a key, as budget=evolution."""
+    return [f"{group}={name}" for name in choices(group) if key in _keys(read_choice(group, name), f"{group}.")]

@@ -196,7 +196,7 @@ def test_a_handed_configuration_cannot_run_code(tmp_path, monkeypatch, text, sai
         (["drr=none"], "did you mean dr"),
         (["budget.stpes=3"], "budget.steps"),
         (["tarck=l_shape"], "track"),
-        (["budget=smoke", "budget.refinement.pairs=2"], "the usual budget has it, the one chosen has not"),
+        (["budget.refinement.pairs=2"], "budget=evolution, budget=workstation have it"),
         (["+seed=3"], "+seed: is there already; write seed=… without the +"),
         (["+colour=red"], "unknown key 'colour'"),
         (["~seed"], "seed"),

@@ -26,9 +26,9 @@ from racerl.paper import PAPER
 from racerl.registry import construct
 from racerl.run import MANIFEST, RunFolder
 
-REFINED = {"": "", "refinement": " refined", "ascent": " refined by its gradient"}
+REFINED = {"": "", "refinement": " refined by evolution", "ascent": " refined"}
 # in another world than it was learned in
-ONWARD = {"refinement": ", refined on", "ascent": ", refined on by its gradient"}
+ONWARD = {"refinement": ", refined on by evolution", "ascent": ", refined on"}
 OVERRIDABLE = ("vehicle", "track", "sim", "dr")
 
 

@@ -26,7 +26,7 @@ from racerl.train.refinement import Refinement
 from racerl.train.session import Progress, Session
 from racerl.train.trackers import create_tracker
 
-KINDS = {"refinement": (Refinement, "laptop.yaml"), "ascent": (Ascent, "ascent.yaml")}  # and a budget that has one
+KINDS = {"refinement": (Refinement, "evolution.yaml"), "ascent": (Ascent, "laptop.yaml")}  # and a budget that has one
 
 
 def train(
@@ -78,12 +78,12 @@ def _improvement(settings: Mapping[str, Any]) -> Improvement | None:
     """Return what a budget ends with; raise ConfigError for two of them, wrong settings, and a car without gradient."""
     budget = settings["budget"]
     if all(budget.get(key) is not None for key in KINDS):
-        raise ConfigError(f"budget.{' and budget.'.join(KINDS)}: one of them is allowed; set the other to null")
+        raise ConfigError(f"budget.{' and budget.'.join(KINDS)}: one of them is allowed; leave the other out")
     if not (key := improved_by(budget)):
         return None
     kind, example = KINDS[key]
     if kind is Ascent and (body := build_vehicle(settings).body):
-        raise ConfigError(f"budget.{key}: needs the car's gradient; vehicle.body = {body} has none; use budget=laptop")
+        raise ConfigError(f"budget.{key}: needs a car's gradient; vehicle.body = {body} has none; use budget=evolution")
     if not isinstance(plan := budget[key], Mapping):
         raise ConfigError(f"budget.{key} = {plan}: settings as in conf/budget/{example} are expected, or null")
     found: Improvement = construct(kind, plan, f"budget.{key}")

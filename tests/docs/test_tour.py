@@ -7,7 +7,7 @@ from racerl.docs.sources import ROOT
 
 TOUR = transcripts((ROOT / "racerl" / "docs" / "tour" / "README.md").read_text(encoding="utf-8"))
 STAGES = ["record", "data", "identify", "gap", "train", "evaluate"]
-QUICK = ["budget.refinement.generations=1", "budget.refinement.evaluations=1", "budget.refinement.pairs=32"]
+QUICK = ["budget.ascent.updates=1", "budget.ascent.evaluations=1"]
 
 
 def quick(words):

@@ -38,7 +38,7 @@ SHORT = ["algo.rounds=12", "algo.cars=64", "algo.updates=60", "algo.last_updates
 CASES = {  # words, and how many kills
     "PPO refined": (["train", *PPO, "budget.steps=120000", "budget.evaluations=10", REFINED], 30),
     "PPO ascended": (["train", *PPO, "budget.steps=60000", "budget.evaluations=10", ASCENDED], 20),
-    "imitation": (["train", "algo=imitation", "threads=1", *SHORT, "budget.refinement=null"], 10),
+    "imitation": (["train", "algo=imitation", "threads=1", *SHORT, "budget=unrefined"], 10),
     "sweep": (["sweep", "actuator_model", *PPO, "budget.steps=20000", "seeds=[0]", "cars=[model]", "threads=1"], 20),
     "gap": (["gap", "../log.parquet", "vehicle=published", "threads=1"], 20),
     "identify": (["identify", "../log.parquet", "starts=1", "folds=2", "threads=1"], 15),

@@ -43,7 +43,7 @@ LONGEST = 600  # letters of a line
 COMMANDS: dict[str, tuple[list[str], Any, bool, bool]] = {
     "train": ([], train, False, False),
     "refine": (["from={run}"], train_onward, False, False),
-    "refine by ascent": (["from={run}", "budget=ascent"], train_onward, False, False),
+    "refine by evolution": (["from={run}", "budget=evolution"], train_onward, False, False),
     "evaluate": (["run={run}", "laps=1", "seeds=[0]"], evaluate, False, True),
     "race": (["controller=pure_pursuit", "laps=1", "seeds=[0]"], race, False, True),
     "record": (["seconds=20", "drive=race"], record, False, True),

@@ -36,7 +36,7 @@ ASCENT = {
 
 def refinement(**changes: Any) -> str:
     """Return the word that asks for an evolution strategy, with some numbers changed."""
-    return f"budget.refinement={_mapping({**SHORT, **changes})}"
+    return f"+budget.refinement={_mapping({**SHORT, **changes})}"
 
 
 def ascent(**changes: Any) -> str:

@@ -173,7 +173,7 @@ def _norm(made, found):
 
 @pytest.mark.parametrize("period", [0.0, pytest.param(1e6, marks=pytest.mark.slow)])
 def test_an_interrupted_ascent_goes_on_where_it_was(period, tmp_path, monkeypatch):
-    words = [*SMOKE, ascent(), "budget.refinement=null", "+dr=friction_0.02"]
+    words = [*SMOKE, ascent(), "+dr=friction_0.02"]
     whole = train(compose_settings("train", words), tmp_path / "whole")
     monkeypatch.setattr(session, "CHECKPOINT_PERIOD", period)
     with pytest.raises(Plug):
@@ -189,7 +189,7 @@ def test_an_interrupted_ascent_goes_on_where_it_was(period, tmp_path, monkeypatc
 
 
 def test_its_policies_say_how_they_were_made():
-    assert learned(compose_settings("train", ["budget=ascent"])) == "PPO refined by its gradient"
+    assert learned(compose_settings("train", [])) == "PPO refined"
 
 
 @pytest.mark.parametrize(
@@ -210,7 +210,7 @@ def test_wrong_settings_are_refused_before_anything_is_trained(word, said, tmp_p
 
 
 def test_a_budget_ends_with_one_of_both(tmp_path):
-    words = ["budget=ascent", "budget.refinement={generations:2}"]
+    words = ["+budget.refinement={generations:2}"]
     with pytest.raises(ConfigError, match=r"budget\.refinement and budget\.ascent: one of them is allowed"):
         train(compose_settings("train", words), tmp_path / "run")
 
@@ -218,5 +218,5 @@ def test_a_budget_ends_with_one_of_both(tmp_path):
 def test_a_car_without_a_gradient_is_refused(tmp_path):
     car = {**compose_settings("train", [])["vehicle"], "body": "commonroad_mb"}
     (tmp_path / "car.yaml").write_text(yaml.safe_dump(car))
-    with pytest.raises(ConfigError, match=r"vehicle\.body = commonroad_mb has none; use budget=laptop"):
-        train(compose_settings("train", ["budget=ascent", f"vehicle={tmp_path}/car.yaml"]), tmp_path / "run")
+    with pytest.raises(ConfigError, match=r"vehicle\.body = commonroad_mb has none; use budget=evolution"):
+        train(compose_settings("train", [f"vehicle={tmp_path}/car.yaml"]), tmp_path / "run")

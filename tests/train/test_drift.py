@@ -85,4 +85,4 @@ def test_wrong_numbers_are_refused_before_anything_is_trained(wrong, words):
 
 def test_tables_say_that_a_policy_drifted_first():
     assert learned(compose_settings("train", ["algo=ppo_drift"])) == "PPO drifting first refined"
-    assert learned(compose_settings("train", ["budget.refinement=null"])) == "PPO"
+    assert learned(compose_settings("train", ["budget=unrefined"])) == "PPO"

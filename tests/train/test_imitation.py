@@ -29,7 +29,7 @@ FLOOR = 5.155  # s, the time-optimal lap of the default car on the default track
 
 @pytest.fixture(scope="module")
 def settings():
-    return compose_settings("train", ["algo=imitation", "threads=1", "algo.layers=[256,256]", "budget.refinement=null"])
+    return compose_settings("train", ["algo=imitation", "threads=1", "algo.layers=[256,256]", "budget=unrefined"])
 
 
 @pytest.fixture(scope="module")

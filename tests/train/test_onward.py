@@ -13,6 +13,8 @@ from racerl.train.onward import train_onward
 from racerl.train.train import train
 from tests.train.short import ascent, refinement
 
+EVOLUTION = refinement()
+
 
 @pytest.fixture(scope="module")
 def origin(tmp_path_factory):
@@ -23,15 +25,13 @@ def origin(tmp_path_factory):
     return out
 
 
-def onward(run, *words):
-    return compose_settings("refine", [f"from={run}", "budget=smoke", refinement(), "threads=1", *words])
+def onward(run, *words, ending=EVOLUTION):
+    return compose_settings("refine", [f"from={run}", "budget=smoke", ending, "threads=1", *words])
 
 
-@pytest.mark.parametrize(
-    ("words", "steps"), [([], {"refined": 2}), (["budget.refinement=null", ascent()], {"ascended": 4})]
-)
-def test_the_policy_goes_on_in_the_changed_car_with_the_rest_as_it_was(words, steps, origin, tmp_path):
-    facts = train_onward(onward(origin, "vehicle=published", "seed=3", *words), tmp_path / "on")
+@pytest.mark.parametrize(("ending", "steps"), [(EVOLUTION, {"refined": 2}), (ascent(), {"ascended": 4})])
+def test_the_policy_goes_on_in_the_changed_car_with_the_rest_as_it_was(ending, steps, origin, tmp_path):
+    facts = train_onward(onward(origin, "vehicle=published", "seed=3", ending=ending), tmp_path / "on")
     run = RunFolder.open_complete(tmp_path / "on", "train")
     settings, before = run.settings(), RunFolder.open_complete(origin).settings()
     assert settings["vehicle"] == compose_settings("train", ["vehicle=published"])["vehicle"] != before["vehicle"]
@@ -47,7 +47,7 @@ def test_the_policy_goes_on_in_the_changed_car_with_the_rest_as_it_was(words, st
 def test_what_a_policy_is_made_of_is_told(origin, tmp_path):
     train_onward(onward(origin), tmp_path / "on")
     once = RunFolder.open_complete(tmp_path / "on").settings()
-    assert label(once) == "progress, speed, friction σ = 0.02, PPO, refined on"
+    assert label(once) == "progress, speed, friction σ = 0.02, PPO, refined on by evolution"
     train_onward(onward(tmp_path / "on"), tmp_path / "further")
     assert label(RunFolder.open_complete(tmp_path / "further").settings()) == label(once)
 

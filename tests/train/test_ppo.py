@@ -32,7 +32,6 @@ SMALL = {
     "gamma": 0.95,
     "initial_std": 0.5,
 }
-SMALL.pop("refinement")  # not PPO's
 
 
 def learner(race=None, seed=0, privileged=False, **changes):

@@ -136,7 +136,7 @@ def settings(*words):
 def test_a_trained_one_is_refined_races_and_is_named(tmp_path):
     asked = settings(refinement())
     facts = train(asked, tmp_path / "run")
-    assert learned(asked) == "recurrent PPO refined" and facts["refined"] == 2
+    assert learned(asked) == "recurrent PPO refined by evolution" and facts["refined"] == 2
     before, after = (load_policy(tmp_path / run).network.state_dict() for run in ("run/unrefined", "run"))
     assert before.keys() == after.keys()
     words = [f"run={tmp_path / 'run'}", "laps=1", "seeds=[0]", "threads=1"]

@@ -249,7 +249,7 @@ def test_an_interrupted_refinement_goes_on_where_it_was(period, tmp_path, monkey
 
 def test_the_policy_before_it_is_kept(tmp_path):
     facts = train(compose_settings("train", SMOKE), tmp_path / "run")
-    plain = train(compose_settings("train", [*SMOKE, "budget.refinement=null"]), tmp_path / "plain")
+    plain = train(compose_settings("train", SMOKE[:-1]), tmp_path / "plain")
     before, alone = (
         load_policy(folder).network.state_dict() for folder in (tmp_path / "run" / UNREFINED, tmp_path / "plain")
     )

@@ -259,7 +259,7 @@ def test_trains_on_a_gpu(tmp_path):
 def test_a_laptop_policy_laps_cleanly(tmp_path):
     """A minute: a quarter of the laptop budget, its schedules shortened alike, must lap without a crash."""
     settings = compose_settings(
-        "train", ["dr=friction_0.02", "budget.steps=3000000", "budget.evaluations=3", "budget.refinement=null"]
+        "train", ["dr=friction_0.02", "budget.steps=3000000", "budget.evaluations=3", "budget=unrefined"]
     )
     facts = train(settings, tmp_path / "run")
     assert facts["best"]["crash_share"] == 0.0 and facts["best"]["mean_lap_s"] < 8.0

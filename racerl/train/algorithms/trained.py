@@ -24,7 +24,7 @@ class Trained:
         if not improved_by(session.settings["budget"]):
             raise ConfigError(
                 f"from = {self.run}: a policy that is there is refined only; choose a budget with a refinement, "
-                "as budget=laptop or budget=ascent has"
+                "as budget=laptop has"
             )
         policy = load_policy(Path(self.run), session.device)
         size = session.examiner.races[0].observation.size
