@@ -10,6 +10,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -477,4 +478,9 @@ def _unknown_key(command: str, key: str, known: Collection[str]) -> ConfigError:
 
 def _having(key: str, group: str) -> list[str]:
     """Return the words that choose what has a key, as budget=evolution."""
-    return [f"{group}={name}" for name in choices(group) if key in _keys(read_choice(group, name), f"{group}.")]
+    having = []
+    for name in choices(group):
+        with suppress(DocumentError, ConfigError):  # what is wrong with a file of the user's is told where it is chosen
+            if key in _keys(read_choice(group, name), f"{group}."):
+                having.append(f"{group}={name}")
+    return having

@@ -13,8 +13,8 @@ from torch import Tensor
 
 CRASH_DISTANCE = 0.2  # m beyond the boundary
 STOP_SPEED = 0.1  # m/s
-HALF_TURN = math.pi / 2  # rad
-LEVER = 0.33  # m of clearance per rad that is left to it
+QUARTER_TURN = math.pi / 2  # rad
+LEVER = 0.33  # m of clearance per rad left until a spin; about a wheelbase
 STOP_TIME = 1.0  # s below that speed
 
 
@@ -59,8 +59,8 @@ class Crash:
 
 def clearance(race: Situation) -> Tensor:
     """Return how far cars are from leaving the track or spinning, in m, (N,); it has a slope in the state."""
-    return torch.minimum(race.margin, LEVER * (HALF_TURN - race.heading.abs()))
+    return torch.minimum(race.margin, LEVER * (QUARTER_TURN - race.heading.abs()))
 
 
 def _spun(race: Situation) -> Tensor:
-    return race.heading.abs() > HALF_TURN
+    return race.heading.abs() > QUARTER_TURN

@@ -55,7 +55,7 @@ def banner(facts: Mapping[str, Any]) -> str:
         return ""
     return (
         f"Trial budget: trainings of {facts['trial_steps']:,} control steps show that a sweep runs, not what is true. "
-        "For verdicts: budget=laptop"
+        "For verdicts leave budget=smoke out"
     )
 
 

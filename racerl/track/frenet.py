@@ -5,8 +5,8 @@ downhill to the bottom of its valley. On a regular stretch that valley stays the
 the track comes closer, so a car never jumps across an infield. In a hairpin tighter than the track is wide, 1 − κn
 vanishes inside the track; valleys meet there, parted by ridges of a percent, and the walk steps over those.
 
-On the CPU in single precision the walk and the look-ups run as compiled C (`racerl.track.kernel`), which has their
-gradients; the tensors below say the same and run everywhere else.
+On the CPU in single precision the walk and the look-ups run as compiled C (`racerl.track.kernel`), places and look-ups
+with their gradients; the tensors below say the same and run everywhere else.
 
 Within a table cell the centreline is an arc of its curvature κ. With (a, b) the car relative to the cell's point,
 along and left of it:  Δs = atan(κa/(1 − κb))/κ,  n = (2b − κ(a² + b²))/(1 + √((1 − κb)² + κ²a²)).
@@ -94,7 +94,7 @@ class FrenetFrame:
 
     def position(self, s: Tensor, n: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return x, y and the centreline's yaw at (s, n), exact to the arc within a cell."""
-        if self._kernel is not None:
+        if self._kernel is not None and not (s.requires_grad or n.requires_grad):
             return self._kernel.position(self._cells, s, n, self.spacing)
         index = (self.wrap(s) / self.spacing).round().long()
         ds = self.wrap(s) - index * self.spacing

@@ -11,6 +11,7 @@ from typing import Any, cast
 
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from racerl.vehicle.compiler import build
 
@@ -42,8 +43,9 @@ static inline long downhill(const float (*cells)[8], long count, long from, long
     return best;
 }}
 
-/* where the foot of (x, y), followed from `last`, is: its cell and m from there, s, n, the centreline's direction */
-struct foot {{ long at; float ds, s, n, direction, stretch; }};
+/* where the foot of (x, y), followed from `last`, is: its cell, the car along and left of its point, m from there;
+   s, n and the centreline's direction */
+struct foot {{ long at; float along, left, ds, s, n, direction; }};
 static inline struct foot foot_of(const float (*cells)[8], long count, float spacing, long reach, float x, float y,
                                   float last) {{
     struct foot found;
@@ -71,8 +73,9 @@ static inline struct foot foot_of(const float (*cells)[8], long count, float spa
     place = place < 0 ? place + length : place;
     found.s = place >= length ? place - length : place;
     found.direction = wrap_angle(cell[2] + kappa * ds);
+    found.along = along;
+    found.left = left;
     found.ds = ds;
-    found.stretch = stretch;
     return found;
 }}
 
@@ -106,30 +109,38 @@ void locate(const float (*cells)[8], long count, float spacing, long reach, cons
     }}
 }}
 
-/* cotangents of x, y, yaw and `last` for those of what `locate` has found:
-   ds = (cos ψ dx + sin ψ dy)/(1 − κn), dn = cos ψ dy − sin ψ dx, ψ the centreline's direction and dψ = κ ds */
+/* cotangents of x, y, yaw and `last` for those of what `locate` has found: what is computed there, differentiated */
 void pull_locate(const float (*cells)[8], long count, float spacing, long reach, const float *x, const float *y,
                  const float *yaw, const float *last, const float *of, float *pulled, long cars) {{
     for (long car = 0; car < cars; car++) {{
         struct foot foot = foot_of(cells, count, spacing, reach, x[car], y[car], last[car]);
         const float *own = cells[foot.at];
-        float kappa = own[5], room = 1 - kappa * foot.n, c = cosf(foot.direction), d = sinf(foot.direction);
-        room = room < SMALLEST_STRETCH ? SMALLEST_STRETCH : room;
-        float rate = foot.stretch > 0 && fabsf(foot.ds) < spacing ? 1 / room : 0, n_x = -d, n_y = c;
-        if (!(foot.stretch > 0)) {{  /* there n is the distance to the cell's point */
-            n_x = foot.n != 0 ? (x[car] - own[0]) / foot.n : 0;
-            n_y = foot.n != 0 ? (y[car] - own[1]) / foot.n : 0;
+        float kappa = own[5], along = foot.along, left = foot.left, stretch = 1 - kappa * left;
+        float ds_along = 0, ds_left = 0, n_along, n_left;
+        if (stretch > 0) {{
+            int tight = stretch < SMALLEST_STRETCH;
+            float room = tight ? SMALLEST_STRETCH : stretch, slope = along / room;
+            float rate = fabsf(foot.ds) < spacing ? (1 - kappa * slope * kappa * slope) / room : 0;
+            float root = sqrtf(stretch * stretch + kappa * along * kappa * along);
+            ds_along = rate;
+            ds_left = tight ? 0 : rate * kappa * slope;
+            n_along = -kappa * along * (2 + foot.n * kappa / root) / (1 + root);
+            n_left = stretch * (2 + foot.n * kappa / root) / (1 + root);
+        }} else {{  /* there n is the distance to the cell's point */
+            n_along = foot.n != 0 ? along / foot.n : 0;
+            n_left = foot.n != 0 ? left / foot.n : 0;
         }}
         float position = foot.s / spacing, cell = floorf(position), share = position - cell;
         long at = cell >= 0 && cell < count ? (long)cell : 0, next = at + 1 >= count ? 0 : at + 1;
-        float middle = cells[next][6] - cells[at][6], half = (cells[next][7] - cells[at][7]) / spacing;
+        float middle = cells[next][6] - cells[at][6], half = cells[next][7] - cells[at][7];
         float offset = foot.n - (cells[at][6] + share * middle);
         float of_offset = of[3 * cars + car] - (offset > 0 ? 1 : offset < 0 ? -1 : 0) * of[4 * cars + car];
         float of_n = of[cars + car] + of_offset;
-        float of_s = of[car] + of[5 * cars + car] + half * of[4 * cars + car] - middle / spacing * of_offset
+        float of_s = of[car] + of[5 * cars + car] + (half * of[4 * cars + car] - middle * of_offset) / spacing
                      - kappa * of[2 * cars + car];
-        pulled[car] = rate * c * of_s + n_x * of_n;
-        pulled[cars + car] = rate * d * of_s + n_y * of_n;
+        float of_along = ds_along * of_s + n_along * of_n, of_left = ds_left * of_s + n_left * of_n;
+        pulled[car] = own[3] * of_along - own[4] * of_left;
+        pulled[cars + car] = own[4] * of_along + own[3] * of_left;
         pulled[2 * cars + car] = of[2 * cars + car];
         pulled[3 * cars + car] = -of[5 * cars + car];
     }}
@@ -224,8 +235,9 @@ class TrackKernel:
     ) -> Tensor:
         """Return s, n, heading, offset, margin and the way from `s_last`, (6, N); differentiable."""
         given = [t.to(cells.dtype).contiguous() for t in (x, y, yaw, s_last)]
-        call = _Call(self.compiled, (cells.data_ptr(), cells.shape[0], spacing, reach))
-        return cast(Tensor, _Located.apply(call, *given)) if torch.is_grad_enabled() else call.locate(given)
+        constants = (cells.data_ptr(), cells.shape[0], spacing, reach)
+        call = _Call(self.compiled, constants, (cells,), ("locate", 6), ("pull_locate", 4))
+        return call(given)
 
     def position(self, cells: Tensor, s: Tensor, n: Tensor, spacing: float) -> tuple[Tensor, Tensor, Tensor]:
         """Return x, y and the centreline's yaw at (s, n), each (N,)."""
@@ -237,64 +249,55 @@ class TrackKernel:
 
     def lookup(self, tables: Sequence[Tensor], s: Tensor, spacing: float) -> list[Tensor]:
         """Return the tables (M,) interpolated linearly and periodically at s of any shape; differentiable."""
-        given = s.to(tables[0].dtype).contiguous()
-        rows = (ctypes.c_void_p * len(tables))(*(table.data_ptr() for table in tables))
-        call = _Call(self.compiled, (rows, len(tables), tables[0].shape[0], spacing))
-        found = _LookedUp.apply(call, given) if torch.is_grad_enabled() else call.lookup(given)
-        return list(found.unbind())
+        kept = [table.contiguous() for table in tables]
+        rows = (ctypes.c_void_p * len(kept))(*(table.data_ptr() for table in kept))
+        constants = (rows, len(kept), kept[0].shape[0], spacing)
+        call = _Call(self.compiled, constants, kept, ("lookup", len(kept)), ("pull_lookup", 1))
+        return list(call([s.to(kept[0].dtype).contiguous()]).unbind())
 
 
 @dataclass(frozen=True)
 class _Call:
-    """The compiled functions and what they are told of a track first; numbers come and go in single precision."""
+    """A function that is compiled, and the one that pulls cotangents back through it.
+
+    `constants` are what both are told of the track first; `kept` holds the memory that these point into. Each function
+    is its name and how many rows it gives; of all numbers of the tensors that come in, each has as many in a row.
+    """
 
     compiled: Any
-    track: tuple[Any, ...]
+    constants: tuple[Any, ...]
+    kept: Sequence[Tensor]
+    forth: tuple[str, int]
+    back: tuple[str, int]
 
-    def locate(self, given: Sequence[Tensor]) -> Tensor:
-        return self._fill("locate", 6, given, given[0].shape)
+    def __call__(self, given: Sequence[Tensor]) -> Tensor:
+        """Return the rows for tensors in single precision and one piece; differentiable."""
+        if torch.is_grad_enabled() and any(each.requires_grad for each in given):
+            return cast(Tensor, _Pulled.apply(self, *given))
+        return self.fill(self.forth, given)
 
-    def pull_locate(self, given: Sequence[Tensor], cotangent: Tensor) -> Tensor:
-        return self._fill("pull_locate", 4, (*given, cotangent.contiguous()), given[0].shape)
-
-    def lookup(self, s: Tensor) -> Tensor:
-        return self._fill("lookup", self.track[1], (s,), s.shape)
-
-    def pull_lookup(self, s: Tensor, cotangent: Tensor) -> Tensor:
-        return self._fill("pull_lookup", 1, (s, cotangent.contiguous()), s.shape)[0]
-
-    def _fill(self, name: str, rows: int, given: Sequence[Tensor], shape: torch.Size) -> Tensor:
-        out = torch.empty((rows, *shape), dtype=given[0].dtype)
-        getattr(self.compiled, name)(*self.track, *(t.data_ptr() for t in (*given, out)), given[0].numel())
+    def fill(self, function: tuple[str, int], given: Sequence[Tensor]) -> Tensor:
+        """Return what one of the two functions gives, (rows, *shape of the first)."""
+        name, rows = function
+        out = torch.empty((rows, *given[0].shape), dtype=given[0].dtype)
+        getattr(self.compiled, name)(*self.constants, *(t.data_ptr() for t in (*given, out)), given[0].numel())
         return out
 
 
-class _Located(torch.autograd.Function):
-    """`locate` with its gradient."""
+class _Pulled(torch.autograd.Function):
+    """A call with its gradient."""
 
     @staticmethod
     def forward(ctx: Any, call: _Call, *given: Tensor) -> Tensor:
         ctx.call = call
         ctx.save_for_backward(*given)
-        return call.locate(given)
+        return call.fill(call.forth, given)
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *cotangents: Tensor) -> tuple[Tensor | None, ...]:
-        return None, *ctx.call.pull_locate(ctx.saved_tensors, cotangents[0])
-
-
-class _LookedUp(torch.autograd.Function):
-    """`lookup` with its gradient."""
-
-    @staticmethod
-    def forward(ctx: Any, call: _Call, s: Tensor) -> Tensor:
-        ctx.call = call
-        ctx.save_for_backward(s)
-        return call.lookup(s)
-
-    @staticmethod
-    def backward(ctx: Any, *cotangents: Tensor) -> tuple[Tensor | None, ...]:
-        return None, ctx.call.pull_lookup(*ctx.saved_tensors, cotangents[0])
+        call: _Call = ctx.call
+        return None, *call.fill(call.back, (*ctx.saved_tensors, cotangents[0].contiguous())).unbind()
 
 
 @functools.cache

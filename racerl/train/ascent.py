@@ -4,14 +4,14 @@ Cars drive on from states in which the policy drives. What each makes of it unti
 
     F = Σ Δs − price Σ max(0, reserve − d)² Δt,
 
-the metres of progress less a price for being closer to the boundary than the reserve, d the distance to it; what is
-left of a quarter turn against the track counts as distance, too, since a spin ends an episode without a slope of its
-own. Once crashed a car makes nothing and counts as 0.2 m beyond the boundary. Car, track, observation and network are
-differentiated backwards through all control steps (backpropagation through time), car and track by the adjoints of
-their compiled code: ∂F/∂θ is exact where no car crashes and nothing is at a limit.
+the metres of progress less a price for being closer to the boundary than the reserve. d is the distance to it, or,
+where that is less, 0.33 m for every rad that is left of a quarter turn against the track: a spin ends an episode
+without a slope of its own. Once crashed a car makes nothing and counts as 0.2 m beyond the boundary. Car, track,
+observation and network are differentiated backwards through all control steps (backpropagation through time), car and
+track by the adjoints of their compiled code: ∂F/∂θ is exact where no car crashes and nothing is at a limit.
 
-Adam climbs it, rectified (RAdam): its first steps are small, since they go by the signs of one gradient, and a policy
-at its limits does not survive bold ones.
+RAdam climbs it. Adam's first steps go by the signs of one gradient, at full length, and a policy at its limits does not
+survive them; RAdam's are small.
 
 The square lets the price rise evenly. With a price that begins at once, as the refinement has it, the gradient leaps
 at the reserve, steps go to and fro across it, and laps stay where they are.
@@ -39,12 +39,12 @@ from racerl.train.improve import falling
 from racerl.train.practice import Practice
 from racerl.train.session import Session
 
-BETAS = (0.9, 0.99)  # of RAdam; the second forgets in a hundred steps, of which there are few hundreds
+BETAS = (0.9, 0.99)  # of RAdam; the second forgets in a hundred steps, of which there are a few hundred
 
 
 @dataclass(frozen=True)
 class Ascent:
-    """How long and how boldly; `conf/budget/ascent.yaml` says what each number is."""
+    """How long and how boldly; `conf/budget/laptop.yaml` says what each number is."""
 
     updates: int
     evaluations: int
@@ -75,7 +75,7 @@ class Ascent:
         bounds.number("budget.ascent.again", self.again, 0.0, 0.999)
         bounds.number("budget.ascent.gradient_norm", self.gradient_norm, 1e-9, 1e9)
         bounds.number("budget.ascent.price", self.price, 0.0, 1e6)
-        bounds.number("budget.ascent.reserve", self.reserve, 0.0, 1.0)
+        bounds.number("budget.ascent.reserve", self.reserve, 0.0, 0.5)
 
     @property
     def count(self) -> int:

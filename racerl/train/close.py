@@ -23,7 +23,7 @@ from racerl.evaluate.outcome import METRICS
 from racerl.gap.diagnose import MODEL, MODEL_BEFORE, VERDICT, gap
 from racerl.run import Compose, RunFolder, is_complete
 from racerl.train.onward import train_onward
-from racerl.train.train import require_sound, train
+from racerl.train.train import improvement_of, require_sound, train
 from racerl.vehicle.load import load_vehicle
 
 RESULT = "close.json"
@@ -55,6 +55,7 @@ def close(
     # what cannot be read is told before anything is written
     training = compose("train", [f"vehicle={settings['real']}", *words])
     load_vehicle(training["vehicle"])
+    improvement_of(training)
     if finished:
         _verdict(Path(logs[0]))
     else:

@@ -42,7 +42,7 @@ def train(
         raise ConfigError(f"algo = {settings.get('algo')}: a mapping with a name is expected, as conf/algo/ppo.yaml")
     use_threads(settings["threads"])
     algorithm = create_algorithm(settings["algo"])
-    improvement = _improvement(settings)
+    improvement = improvement_of(settings)
     tracker = create_tracker(settings.get("tracking"))
     own = {key: value for key, value in settings.items() if key != "tracking"}
     session = Session(own, out, choose_device(settings["device"]), on_progress, tracker)
@@ -59,6 +59,22 @@ def train(
     return facts
 
 
+def improvement_of(settings: Mapping[str, Any]) -> Improvement | None:
+    """Return what a budget ends with; raise ConfigError for two of them, wrong settings, and a car without gradient."""
+    budget = settings["budget"]
+    if all(budget.get(key) is not None for key in KINDS):
+        raise ConfigError(f"budget.{' and budget.'.join(KINDS)}: one of them is allowed; set the other to null")
+    if not (key := improved_by(budget)):
+        return None
+    kind, example = KINDS[key]
+    if kind is Ascent and (body := build_vehicle(settings).body):
+        raise ConfigError(f"budget.{key}: needs a car's gradient; vehicle.body = {body} has none; use budget=evolution")
+    if not isinstance(plan := budget[key], Mapping):
+        raise ConfigError(f"budget.{key} = {plan}: settings as in conf/budget/{example} are expected, or null")
+    found: Improvement = construct(kind, plan, f"budget.{key}")
+    return found
+
+
 def require_sound(run: Path) -> None:
     """Raise RunError for a finished training that has diverged, whose best policy is no result to compare with."""
     if diverged := RunFolder.open_complete(run, "train").manifest.get("diverged"):
@@ -72,22 +88,6 @@ def _finish(session: Session, facts: dict[str, Any]) -> None:
     session.folder.finish(**facts)
     for name in (TRAINING, IMPROVING):  # only now: a run that is killed before goes on from them
         discard(session.out / name)
-
-
-def _improvement(settings: Mapping[str, Any]) -> Improvement | None:
-    """Return what a budget ends with; raise ConfigError for two of them, wrong settings, and a car without gradient."""
-    budget = settings["budget"]
-    if all(budget.get(key) is not None for key in KINDS):
-        raise ConfigError(f"budget.{' and budget.'.join(KINDS)}: one of them is allowed; leave the other out")
-    if not (key := improved_by(budget)):
-        return None
-    kind, example = KINDS[key]
-    if kind is Ascent and (body := build_vehicle(settings).body):
-        raise ConfigError(f"budget.{key}: needs a car's gradient; vehicle.body = {body} has none; use budget=evolution")
-    if not isinstance(plan := budget[key], Mapping):
-        raise ConfigError(f"budget.{key} = {plan}: settings as in conf/budget/{example} are expected, or null")
-    found: Improvement = construct(kind, plan, f"budget.{key}")
-    return found
 
 
 def _improved(session: Session, algorithm: Algorithm, improvement: Improvement) -> dict[str, Any]:

@@ -115,7 +115,7 @@ def test_a_first_policy_laps_cleanly(run):
     left = run("first_policy")
     raced: pd.DataFrame = left["raced"]
     assert raced.loc["clean laps", "model"] >= 57 and (raced.loc["share of crashes"] == 0.0).all()
-    # a refined policy keeps 1 cm, so in the twin it may cross the edge, by a hair
+    # it keeps 4 cm, so in the twin it may cross the edge, by a hair
     assert left["twin"].laps["max_off_track_m"].max() < 0.05 and left["twin"].facts["e_off"] < 0.002
     assert 5.2 < raced.loc["mean lap in s", "model"] < 5.7
     require_figures("first_policy", left)

@@ -18,7 +18,7 @@ from racerl.evaluate.evaluate import evaluate
 from racerl.gap.diagnose import gap
 from racerl.record.record import record
 from racerl.train.train import train
-from tests.train.short import refinement
+from tests.train.short import ascent, refinement
 
 UNSHARE = ["unshare", "--user", "--map-root-user", "--mount", "--kill-child"]
 ALLOWED = shutil.which("unshare") and not subprocess.run([*UNSHARE, "true"], capture_output=True).returncode
@@ -28,6 +28,7 @@ TRAIN = ["budget=smoke", "threads=1", "budget.steps=1024"]
 COMMANDS = {
     "train": ["train", *TRAIN],
     "train onward": ["train", "from={trained}", "budget=smoke", "{refinement}", "threads=1"],
+    "train onward, ascending": ["train", "from={trained}", "budget=smoke", "{ascent}", "threads=1"],
     "evaluate": ["evaluate", "{trained}", "laps=1", "seeds=[0]"],
     "race": ["evaluate", "controller=pure_pursuit", "laps=1", "seeds=[0]"],
     "record": ["record", "drive=race", "seconds=30"],
@@ -100,6 +101,7 @@ def given(tmp_path_factory):
         "log": log,
         "track": conf_folder() / "track" / "oval.csv",
         "refinement": refinement(),
+        "ascent": ascent(),
     }
 
 

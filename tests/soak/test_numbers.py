@@ -85,7 +85,8 @@ def numeric(settings: Any, where: str = ""):
 
 @pytest.mark.parametrize("name", list(COMMANDS))
 def test_one_line_or_a_sensible_run(name, given, tmp_path, monkeypatch, capsys):
-    (words, stage, composing, drives), name = COMMANDS[name], name.split()[0]
+    words, stage, composing, drives = COMMANDS[name]
+    command = name.split()[0]
     words = [word.format(**given) for word in words]
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(kernel, "build", lambda *_: None)
@@ -97,13 +98,13 @@ def test_one_line_or_a_sensible_run(name, given, tmp_path, monkeypatch, capsys):
         monkeypatch.setattr(RunFolder, "start", reached)
     before = signal.signal(signal.SIGALRM, reached)
     told, wrong = Counter(), dict[str, str]()
-    cases = [(key, value) for key in numeric(compose_settings(name, words)) for value in VALUES]
+    cases = [(key, value) for key in numeric(compose_settings(command, words)) for value in VALUES]
     try:
         for number, (key, value) in enumerate(cases):
             signal.alarm(SECONDS)
             try:
                 out = tmp_path / str(number)
-                settings = compose_settings(name, [*(w for w in words if w.split("=")[0] != key), f"{key}={value}"])
+                settings = compose_settings(command, [*(w for w in words if w.split("=")[0] != key), f"{key}={value}"])
                 stage(settings, out, *([compose_settings] if composing else []))
                 told["ran"] += 1
             except Reached:

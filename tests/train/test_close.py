@@ -69,6 +69,15 @@ def test_the_old_policy_is_refined_in_the_new_model_where_the_budget_refines(dia
     assert facts["recovered_by_refining"]["e_off"] == recovered(*three)
 
 
+def test_a_real_car_without_a_gradient_is_told_before_anything_is_trained(diagnosed, tmp_path):
+    car = {**compose_settings("train", ["vehicle=published"])["vehicle"], "body": "commonroad_mb"}
+    (tmp_path / "car.yaml").write_text(json.dumps(car))  # JSON is YAML
+    settings = settings_of(diagnosed, train=["budget.steps=1024"], real=str(tmp_path / "car.yaml"))
+    with pytest.raises(ConfigError, match="use budget=evolution"):
+        close(settings, tmp_path / "out", compose_settings)
+    assert not (tmp_path / "out").exists()
+
+
 def test_logs_are_diagnosed_first(diagnosed, tmp_path, monkeypatch):
     asked = []
 

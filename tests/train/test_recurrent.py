@@ -17,7 +17,7 @@ from racerl.train.ppo import Budget, RacePPO
 from racerl.train.recurrent_ppo import RecurrentPPO
 from racerl.train.train import train
 from tests.env.test_race import make
-from tests.train.short import refinement
+from tests.train.short import ascent, refinement
 from tests.train.test_ppo import SMALL
 
 UNITS = 16
@@ -141,8 +141,9 @@ def test_a_trained_one_is_refined_races_and_is_named(tmp_path):
     assert before.keys() == after.keys()
     words = [f"run={tmp_path / 'run'}", "laps=1", "seeds=[0]", "threads=1"]
     assert evaluate(compose_settings("evaluate", words), tmp_path / "laps")["laps"] == 1
-    onward = compose_settings("refine", [f"from={tmp_path / 'run'}", "threads=1", refinement()])
-    assert train_onward(onward, tmp_path / "onward")["refined"] == 2
+    for ending, steps in ((refinement(), {"refined": 2}), (ascent(), {"ascended": 4})):
+        onward = compose_settings("refine", [f"from={tmp_path / 'run'}", "budget=smoke", "threads=1", ending])
+        assert steps.items() <= train_onward(onward, tmp_path / next(iter(steps))).items()
 
 
 def test_walked_it_gives_what_it_gives_itself():

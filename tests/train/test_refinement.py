@@ -23,7 +23,8 @@ from racerl.train.train import train
 from tests.train.pulled import logged
 from tests.train.short import refinement
 
-SMOKE = ["budget=smoke", "threads=1", "budget.steps=1024", refinement()]
+PLAIN = ["budget=smoke", "threads=1", "budget.steps=1024"]
+SMOKE = [*PLAIN, refinement()]
 PLAN = Refinement(
     generations=6,
     evaluations=2,
@@ -249,7 +250,7 @@ def test_an_interrupted_refinement_goes_on_where_it_was(period, tmp_path, monkey
 
 def test_the_policy_before_it_is_kept(tmp_path):
     facts = train(compose_settings("train", SMOKE), tmp_path / "run")
-    plain = train(compose_settings("train", SMOKE[:-1]), tmp_path / "plain")
+    plain = train(compose_settings("train", PLAIN), tmp_path / "plain")
     before, alone = (
         load_policy(folder).network.state_dict() for folder in (tmp_path / "run" / UNREFINED, tmp_path / "plain")
     )
