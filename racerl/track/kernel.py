@@ -89,6 +89,14 @@ void project(const float (*cells)[8], long count, float spacing, long reach, con
     }}
 }}
 
+/* the entries of a table on both sides of an s in [0, length), and how far it is from one to the other */
+struct between {{ long at, next; float share; }};
+static inline struct between around(float s, long count, float spacing) {{
+    float position = s / spacing, cell = floorf(position);
+    long at = cell >= 0 && cell < count ? (long)cell : 0;  /* NaN too */
+    return (struct between){{at, at + 1 >= count ? 0 : at + 1, position - cell}};
+}}
+
 /* rows of `place`: s, n, heading against the centreline, offset from the middle, margin to the nearer boundary; and
    the way from `last` */
 void locate(const float (*cells)[8], long count, float spacing, long reach, const float *x, const float *y,
@@ -96,14 +104,14 @@ void locate(const float (*cells)[8], long count, float spacing, long reach, cons
     const float length = count * spacing;
     for (long car = 0; car < cars; car++) {{
         struct foot foot = foot_of(cells, count, spacing, reach, x[car], y[car], last[car]);
-        float position = foot.s / spacing, cell = floorf(position), share = position - cell;
-        long at = cell >= 0 && cell < count ? (long)cell : 0, next = at + 1 >= count ? 0 : at + 1;  /* NaN too */
-        float offset = foot.n - (cells[at][6] + share * (cells[next][6] - cells[at][6]));
+        struct between b = around(foot.s, count, spacing);
+        const float *here = cells[b.at], *ahead = cells[b.next];
+        float offset = foot.n - (here[6] + b.share * (ahead[6] - here[6]));
         place[car] = foot.s;
         place[cars + car] = foot.n;
         place[2 * cars + car] = wrap_angle(yaw[car] - foot.direction);
         place[3 * cars + car] = offset;
-        place[4 * cars + car] = cells[at][7] + share * (cells[next][7] - cells[at][7]) - fabsf(offset);
+        place[4 * cars + car] = here[7] + b.share * (ahead[7] - here[7]) - fabsf(offset);
         float way = foot.s - last[car] + length / 2;
         place[5 * cars + car] = way - length * floorf(way / length) - length / 2;
     }}
@@ -120,20 +128,18 @@ void pull_locate(const float (*cells)[8], long count, float spacing, long reach,
         if (stretch > 0) {{
             int tight = stretch < SMALLEST_STRETCH;
             float room = tight ? SMALLEST_STRETCH : stretch, slope = along / room;
-            float rate = fabsf(foot.ds) < spacing ? (1 - kappa * slope * kappa * slope) / room : 0;
             float root = sqrtf(stretch * stretch + kappa * along * kappa * along);
-            ds_along = rate;
-            ds_left = tight ? 0 : rate * kappa * slope;
+            ds_along = fabsf(foot.ds) < spacing ? (1 - kappa * slope * kappa * slope) / room : 0;
+            ds_left = tight ? 0 : ds_along * kappa * slope;
             n_along = -kappa * along * (2 + foot.n * kappa / root) / (1 + root);
             n_left = stretch * (2 + foot.n * kappa / root) / (1 + root);
         }} else {{  /* there n is the distance to the cell's point */
             n_along = foot.n != 0 ? along / foot.n : 0;
             n_left = foot.n != 0 ? left / foot.n : 0;
         }}
-        float position = foot.s / spacing, cell = floorf(position), share = position - cell;
-        long at = cell >= 0 && cell < count ? (long)cell : 0, next = at + 1 >= count ? 0 : at + 1;
-        float middle = cells[next][6] - cells[at][6], half = cells[next][7] - cells[at][7];
-        float offset = foot.n - (cells[at][6] + share * middle);
+        struct between b = around(foot.s, count, spacing);
+        const float *here = cells[b.at], *ahead = cells[b.next];
+        float middle = ahead[6] - here[6], half = ahead[7] - here[7], offset = foot.n - (here[6] + b.share * middle);
         float of_offset = of[3 * cars + car] - (offset > 0 ? 1 : offset < 0 ? -1 : 0) * of[4 * cars + car];
         float of_n = of[cars + car] + of_offset;
         float of_s = of[car] + of[5 * cars + car] + (half * of[4 * cars + car] - middle * of_offset) / spacing
@@ -198,10 +204,8 @@ void pull_lookup(const float *const *tables, long rows, long count, float spacin
     const float length = count * spacing;
     for (long i = 0; i < numbers; i++) {{
         float sum = 0;
-        int index = (int)floorf((s[i] - length * floorf(s[i] / length)) / spacing);
-        int at = index >= (int)count ? index - (int)count : index < 0 ? 0 : index;
-        int next = at + 1 >= (int)count ? 0 : at + 1;
-        for (long row = 0; row < rows; row++) sum += of[row * numbers + i] * (tables[row][next] - tables[row][at]);
+        struct between b = around(s[i] - length * floorf(s[i] / length), count, spacing);
+        for (long row = 0; row < rows; row++) sum += of[row * numbers + i] * (tables[row][b.next] - tables[row][b.at]);
         pulled[i] = sum / spacing;
     }}
 }}
