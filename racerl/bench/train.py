@@ -44,7 +44,7 @@ class Train:
 
     budgets: tuple[str, ...]
     seconds: float
-    memory_steps: int  # of the training whose memory is measured
+    short: tuple[str, ...]  # how to train briefly, all stages: its memory is measured
     fast: tuple[str, ...]
     seeds: tuple[int, ...]
     margin: float
@@ -89,7 +89,7 @@ class Train:
     def _memory(self, words: Sequence[str]) -> float:
         """Return the largest resident memory of a training in its own process, in MB."""
         with tempfile.TemporaryDirectory() as folder:
-            given = [*words, f"budget.steps={self.memory_steps}", f"out={folder}/train"]
+            given = [*words, *self.short, f"out={folder}/train"]
             subprocess.run(  # noqa: S603 (our own command)
                 [sys.executable, "-m", "racerl.cli", "train", *given], check=True, capture_output=True
             )

@@ -52,8 +52,8 @@ def test_policy(tmp_path):
 
 @pytest.mark.slow
 def test_train(tmp_path):
-    brief = ["budgets=[smoke]", "seconds=0.1", "memory_steps=2048", "seeds=[0]", "patience=1", "margin=100"]
-    fast = ['fast=["budget=smoke"]']
+    brief = ["budgets=[smoke]", "seconds=0.1", "seeds=[0]", "patience=1", "margin=100"]
+    fast = ['fast=["budget=smoke"]', 'short=["budget=smoke"]']
     words = ["benchmark=train", *(f"benchmark.{word}" for word in (*brief, *fast))]
     facts = bench(compose_settings("bench", words), tmp_path / "out", compose_settings)
     throughput = facts["throughput"]["smoke"]
