@@ -135,7 +135,7 @@ def compose_settings(
     words += [_bare_override(key, list(named)) for key, named in (places or {}).items()]
     try:
         settings = _plain(command, _compose(command, words))
-    except (HydraException, OmegaConfBaseException) as error:
+    except (HydraException, OmegaConfBaseException, ValueError) as error:  # ValueError: a name where a list has numbers
         raise _translate(command, error) from error
     _check_values(command, settings, words)
     return settings
@@ -448,6 +448,9 @@ def _translate(command: str, error: Exception) -> ConfigError:
     if isinstance(error, OverrideParseException):
         return ConfigError(f"cannot read '{error.override}'; write key=value, with quotes around special characters")
     text = " ".join(str(error).split())
+    if place := re.fullmatch(r"invalid literal for int\(\) with base 10: '(.*)'", text):
+        whole = "give the list as a whole, as dr.parameters=[friction,mass]"
+        return ConfigError(f"unknown key '….{place[1]}': what is before it is a list; {whole}")
     key = re.search(
         r"(?:Could not override|Could not delete from config|Could not append to config)[^']*'([^']+)'", text
     )

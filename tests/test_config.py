@@ -197,6 +197,7 @@ def test_a_handed_configuration_cannot_run_code(tmp_path, monkeypatch, text, sai
         (["budget.stpes=3"], "budget.steps"),
         (["tarck=l_shape"], "track"),
         (["budget.refinement.pairs=2"], "budget=evolution, budget=workstation have it"),
+        (["dr.parameters.x=0.3"], "is a list; give the list as a whole"),
         (["+seed=3"], "+seed: is there already; write seed=… without the +"),
         (["+colour=red"], "unknown key 'colour'"),
         (["~seed"], "seed"),
