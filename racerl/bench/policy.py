@@ -46,7 +46,7 @@ class Policy:
         race = build_race(settings, cars=1, seeds=[0])
         budget = Budget.of({**settings["budget"], "cars": 1})
         model = RacePPO(race, budget, seed=0)
-        policy = policy_of(actor_of(model), race, settings)
+        policy: Any = policy_of(actor_of(model), race, settings)
         onboard = OnboardPolicy(policy)
         observation = race.observe()
         single = observation[0].numpy()

@@ -7,7 +7,7 @@ action that the network was trained with.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import torch
 from safetensors import SafetensorError
@@ -97,6 +97,13 @@ class RecurrentPolicy:
 AnyPolicy = Policy | RecurrentPolicy
 
 
+def create_policy(network: nn.Module, observation: Mapping[str, Any], action: Mapping[str, Any]) -> AnyPolicy:
+    """Return a network of mean actions as a policy, of its kind."""
+    if isinstance(network, RecurrentNetwork):
+        return RecurrentPolicy(network, observation, action)
+    return Policy(cast(nn.Sequential, network), observation, action)
+
+
 def improved_by(budget: Mapping[str, Any]) -> str:
     """Return the key of a budget by which policies are improved in the end; "" where they are not."""
     return next((key for key in IMPROVEMENTS if budget.get(key) is not None), "")
@@ -128,7 +135,7 @@ def load_policy(folder: Path, device: torch.device | str = "cpu") -> AnyPolicy:
         network = RecurrentNetwork(*sizes) if facts.get(RECURRENT) else build_network(sizes)
     _fill(network, folder)
     network.to(device)
-    return RecurrentPolicy(network, *about) if isinstance(network, RecurrentNetwork) else Policy(network, *about)
+    return create_policy(network, *about)
 
 
 def _read_facts(folder: Path) -> dict[str, Any]:

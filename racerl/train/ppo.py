@@ -191,7 +191,7 @@ class RacePPO(PPO):
 
     def as_policy(self, settings: Mapping[str, Any]) -> AnyPolicy:
         """Return a copy of the actor as a policy for the race it learns in."""
-        return policy_of(cast(nn.Sequential, copy.deepcopy(self.actor())), self.race, settings)
+        return policy_of(copy.deepcopy(self.actor()), self.race, settings)
 
     def _driver(self) -> Callable[[Tensor], Tensor]:
         """Return what gives the mean actions of one rollout, step by step."""

@@ -5,15 +5,13 @@ through time), and cut where an episode ends. The critic remembers nothing; with
 """
 
 import copy
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from racerl.control.networks import RecurrentNetwork, forgotten
-from racerl.control.policy import RecurrentPolicy
-from racerl.env.observations import settings_of
 from racerl.env.race import Race
 from racerl.env.races import Races
 from racerl.train.ppo import Budget, RacePPO
@@ -55,12 +53,6 @@ class RecurrentPPO(RacePPO):
         if self.budget.normalise:
             network.reads = self.normaliser.fold(network.reads)
         return network
-
-    def as_policy(self, settings: Mapping[str, Any]) -> RecurrentPolicy:
-        """Return the actor as it is as a policy for the race it learns in."""
-        return RecurrentPolicy(
-            self.actor(), settings_of(settings["obs"]["name"], self.race.observation), settings["action"]
-        )
 
     def _driver(self) -> Callable[[Tensor], Tensor]:
         actor, steps = self.actor(), iter(self._begun)

@@ -15,7 +15,7 @@ from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputF
 from torch import Tensor, nn
 
 from racerl.assemble import build_race, build_races, one_world_each, unlimited
-from racerl.control.policy import AnyPolicy, Policy, save_policy
+from racerl.control.policy import AnyPolicy, create_policy, save_policy
 from racerl.documents import MAX_TEXT_BYTES, read_text, write_text
 from racerl.env.black_box import read_failures, write_failures
 from racerl.env.observations import settings_of
@@ -250,6 +250,6 @@ def read_progress(run: Path) -> pd.DataFrame:
         raise RunError(f"{path}: cannot be read ({' '.join(str(error).split())}); train again") from error
 
 
-def policy_of(network: nn.Sequential, race: Race | Races, settings: Mapping[str, Any]) -> Policy:
+def policy_of(network: nn.Module, race: Race | Races, settings: Mapping[str, Any]) -> AnyPolicy:
     """Return a network as a policy for the race it learns in, sharing its weights."""
-    return Policy(network, settings_of(settings["obs"]["name"], race.observation), settings["action"])
+    return create_policy(network, settings_of(settings["obs"]["name"], race.observation), settings["action"])
