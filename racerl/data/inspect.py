@@ -362,7 +362,9 @@ def _constant(log: Log) -> Iterator[str]:
     for name in log.channels:
         values = log.array(name)
         if np.ptp(values) <= 1e-12 * max(1.0, float(np.abs(values).max())):
-            yield f"{name} is constant ({values[0]:.4g} {CHANNELS[name].unit}): it tells nothing, a dead sensor?"
+            told = f"{name} is constant ({values[0]:.4g} {CHANNELS[name].unit})"
+            commanded = name.endswith("_ref")
+            yield f"{told}: it does not show how fast the car answers" if commanded else f"{told}: a dead sensor?"
 
 
 def _slow(log: Log) -> Iterator[tuple[str, float]]:
@@ -433,11 +435,15 @@ def _wheel_unit(log: Log, moving: NDArray[np.bool_]) -> Iterator[str]:
         if "yaw_rate" in log.table:
             straight = moving & (np.abs(log.array("yaw_rate")) < 0.5)
             straight = straight if straight.sum() >= ENOUGH / 3 else moving
-        ratio = float(np.median(log.array(name)[straight] / log.array("v_x")[straight]))
+        wheel, speed = log.array(name)[straight], log.array("v_x")[straight]
+        ratio = float(np.median(wheel / speed))
         if ratio < -0.2:
             yield f"{name} has the opposite sign of v_x (ratio {ratio:.2f}); turn the sign of its scale"
         elif not 0.7 < ratio < 1.45:
-            yield f"{name} is {ratio:.3g} times v_x on straights: {_factor(ratio)}; its unit must be m/s at the tyre"
+            # another unit is the same at every speed, a limit is not; one command alone cannot tell them apart
+            limited = name == "omega_ref" and ratio > 1.0 and np.percentile(wheel, 95) < 1.1 * np.percentile(wheel, 5)
+            cause = f"the car is limited, or {_factor(ratio)}" if limited else _factor(ratio)
+            yield f"{name} is {ratio:.3g} times v_x on straights: {cause}; its unit must be m/s at the tyre"
 
 
 def _factor(ratio: float) -> str:

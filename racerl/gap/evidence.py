@@ -190,7 +190,7 @@ class Evidence:
         return 0.0 if name in self.stage.outputs or name not in self.columns else float(self.noise_of([name])[0]) ** -2
 
     def _stands(self, name: str) -> bool:
-        """Return whether an actuator's command is the same throughout each run, and what was measured of it is noise.
+        """Return whether an actuator's command is the same throughout each run, and it stands there but for noise.
 
         Such a log tells nothing of how fast the actuator is: a window that began elsewhere would only follow noise.
         """
@@ -199,7 +199,8 @@ class Evidence:
             return False
         if name not in self.columns:
             return True
-        return _wander(self.columns[name], self.first) ** 2 < QUIET * float(self.noise_of([name])[0]) ** 2
+        away = self.columns[name] - self.columns[command]  # of one that does not get there, windows begin where it is
+        return bool(np.mean(away**2) < QUIET * self.noise_of([name])[0] ** 2)
 
     def noise(self) -> Array:
         """Return the standard deviation of each output's noise, (C,): what local polynomials do not follow."""
@@ -261,13 +262,6 @@ def derived(runs: Sequence[pd.DataFrame], dt: float) -> bool:
             if (np.median(np.abs(made - given)[:, inner], axis=1) < ALIKE * np.maximum(noise, 1e-6)).all():
                 return True
     return False
-
-
-def _wander(column: Array, first: Index) -> float:
-    """Return the standard deviation of a channel about its mean of each run."""
-    run = np.unique(first, return_inverse=True)[1]
-    mean = np.bincount(run, column) / np.bincount(run)
-    return float(np.std(column - mean[run]))
 
 
 def _quiet(lost: Array, noise: float) -> bool:

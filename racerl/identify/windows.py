@@ -47,14 +47,23 @@ class Cut:
         return Cut(self.windows.take(index), self.run[index], self.start[index])
 
     def still(self, wiring: Wiring) -> tuple[str, ...]:
-        """Return the actuators whose commands never change in a run: they are where they were commanded.
+        """Return the actuators whose commands never change in a run, and that are where they were commanded.
 
         Left free, such an angle lets a slow actuator pass for what the car does on a circle.
         """
         first = np.unique(self.run, return_index=True)[1][np.unique(self.run, return_inverse=True)[1]]
         inputs = self.windows.inputs
         channels = ((name, i) for i, (name, _) in enumerate(ACTUATORS) if (wiring.steering, wiring.drive)[i] != name)
-        return tuple(name for name, i in channels if (inputs[:, i] == inputs[0, i, first]).all())
+        return tuple(
+            name for name, i in channels if (inputs[:, i] == inputs[0, i, first]).all() and self._there(name, i, wiring)
+        )
+
+    def _there(self, name: str, channel: int, wiring: Wiring) -> bool:
+        """Return whether an actuator was where it was commanded, but for what it was measured to wander, if it was."""
+        if name not in wiring.observed:
+            return True
+        away = self.windows.measured[1:, wiring.observed.index(name)] - self.windows.inputs[:, channel]
+        return bool(away.mean() ** 2 <= away.var())
 
     def observing(self, channels: slice) -> "Cut":
         """Return the windows with some of the observed channels alone."""

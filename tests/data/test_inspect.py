@@ -109,6 +109,7 @@ TRAPS = {
     "wheel in rad/s": (lambda t: t.assign(omega=t["omega"] / 0.055), "rad/s of a small wheel"),
     "wheel in km/h": (lambda t: t.assign(omega=t["omega"] * 3.6), "km/h for m/s"),
     "commanded speed": (lambda t: t.assign(omega_ref=t["omega_ref"] * 3.6), "omega_ref is 3.5"),
+    "limited": (lambda t: t.assign(omega_ref=9.0), "the car is limited, or"),
     "steering in percent": (lambda t: t.assign(delta=t["delta"] / 10), "times v_x tan"),
     "v_x in km/h": (lambda t: t.assign(v_x=t["v_x"] * 3.6), "v_x is 3.6"),
     "yaw rate in degrees": (

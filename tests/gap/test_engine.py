@@ -130,6 +130,10 @@ def test_a_measured_actuator_that_stands_tells_nothing_of_how_fast_it_is(clean):
         assert (evidence.trust("delta") > 1e9) == stands
         assert (evidence.windows(["delta"], (0.0, 0.0)).initial == 0.2).all() == stands
     vehicle, priors = configured()
+    short = dataclasses.replace(log, table=log.table.assign(delta_ref=0.3))  # it stops before it is there
+    stopped = Evidence.of([short], STEERING, 85, 0.5)
+    assert stopped.trust("delta") == 0.0
+    assert stopped.windows(["delta"], (0.0, 0.0)).initial == pytest.approx(0.2, abs=0.01)
     found = investigation.investigate(
         {"steering": evidence}, vehicle, choose_unknowns(vehicle, priors, [], vehicle), {}
     )

@@ -8,6 +8,7 @@ from racerl.data.log import Log, separate
 from racerl.errors import LogError
 from racerl.identify.windows import channel_scale, choose_wiring, cut
 from racerl.vehicle.actuator import FirstOrder, Instant
+from racerl.vehicle.vehicle import STATE
 from tests.vehicle.conftest import make_car
 
 
@@ -79,6 +80,15 @@ def test_short_slow_and_still_logs_are_refused_in_one_line():
         cut([log], wiring, wiring.driven(car), 50, 10, 30.0)
     with pytest.raises(LogError, match="v_y never changes"):
         channel_scale([drive(v_y=np.zeros(390))], ("v_x", "v_y"))
+
+
+@pytest.mark.parametrize("reached", [2.0, 1.3])
+def test_a_speed_that_is_always_commanded_is_where_windows_begin_only_where_it_is_reached(reached):
+    noise = 0.01 * np.random.default_rng(0).standard_normal(390)
+    log = drive(omega_ref=np.full(390, 2.0), omega=reached + noise, delta_ref=np.sin(np.arange(390.0)))
+    wiring = choose_wiring([log])
+    begin = cut([log], wiring, wiring.driven(make_car()), 50, 10, 0.0).windows.initial[STATE.index("omega")]
+    assert (begin == 2.0).all() if reached == 2.0 else begin == pytest.approx(1.3, abs=0.05)
 
 
 def test_slow_windows_are_left_out():
