@@ -19,7 +19,8 @@ def actuators(evidence: Mapping[str, Evidence]) -> dict[str, dict[str, Any]]:
     """Return what was measured where a command had settled, by actuator; those that were not logged are left out.
 
     `scale` and `offset`: response = scale × command + offset, by Siegel's repeated medians; `lag` in s, by which it
-    follows that best; `most`: the largest command and response in size; `command`, `response`: settled samples.
+    follows that best, all None of a command that never changes; `most`: the largest command and response in size;
+    `command`, `response`: settled samples.
     """
     found = {}
     for name, part in evidence.items():
@@ -29,15 +30,12 @@ def actuators(evidence: Mapping[str, Evidence]) -> dict[str, dict[str, Any]]:
             continue
         command, response = part.columns[asked], part.columns[shown]
         rows = _settled(part, command)
-        if len(rows) < FEWEST or np.ptp(command[rows]) == 0.0:
+        if len(rows) < FEWEST:
             continue
         rows = rows[np.linspace(0, len(rows) - 1, min(MOST, len(rows))).astype(int)]
-        scale, offset = siegelslopes(response[rows], command[rows])
         found[name] = {
             "channels": [asked, shown],
-            "scale": float(scale),
-            "offset": float(offset),
-            "lag": _lag(part, scale * command + offset, response),
+            **_line(part, command, response, rows),
             "most": [float(np.abs(column).max()) for column in (command, response)],
             "command": command[rows].round(5).tolist(),
             "response": response[rows].round(5).tolist(),
@@ -54,6 +52,15 @@ def _settled(evidence: Evidence, command: Array) -> NDArray[np.int64]:
     rows = np.flatnonzero(np.arange(len(command)) - evidence.first >= back)
     calm = since[rows] - since[rows - back] <= CALM * np.ptp(command)
     return rows[calm]
+
+
+def _line(evidence: Evidence, command: Array, response: Array, rows: NDArray[np.int64]) -> dict[str, float | None]:
+    """Return scale, offset and lag of the response to a command, from settled rows."""
+    if np.ptp(command[rows]) == 0.0:
+        return {"scale": None, "offset": None, "lag": None}
+    scale, offset = siegelslopes(response[rows], command[rows])
+    lag = _lag(evidence, scale * command + offset, response)
+    return {"scale": float(scale), "offset": float(offset), "lag": lag}
 
 
 def _lag(evidence: Evidence, wanted: Array, response: Array) -> float:

@@ -42,8 +42,15 @@ def test_a_limit_bends_the_response_and_leaves_the_line():
     assert told["scale"] == pytest.approx(1.0, abs=0.02) and told["most"][1] == pytest.approx(0.25, abs=1e-3)
 
 
-def test_what_never_settles_or_never_moves_is_left_out():
-    assert actuators(steps(lambda command: command, levels=(0.1,))) == {}
+def test_a_command_that_never_changes_is_shown_beside_what_was_reached():
+    told = actuators(steps(lambda command: command - 0.06, levels=(0.1,)))["steering"]
+    assert told["scale"] is told["offset"] is told["lag"] is None
+    assert told["most"] == pytest.approx([0.1, 0.04], abs=1e-3)
+    shown = gap_actuators.draw({"steering": told}, {"delta_ref": "rad", "delta": "rad"})
+    assert "always commanded: 0.1 rad" in shown and "steering: reached 0.04 rad" in shown
+
+
+def test_what_never_settles_is_left_out():
     waves = steps(lambda command: command)["steering"]
     waves.columns["delta_ref"][:] = np.sin(10.0 * waves.columns["t"])
     assert actuators({"steering": waves}) == {} and actuators({}) == {}
