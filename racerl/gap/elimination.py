@@ -79,8 +79,11 @@ def settled(investigation: Investigation, decision: Decision) -> Decision:
 
 
 def _idle(name: str, ranges: Mapping[str, tuple[float, float, float]]) -> bool:
-    """Return whether the intervals of all parameters that vanish without the effect hold that."""
+    """Return whether the intervals of all parameters that vanish without the effect, or have no bound, hold that."""
     entry, (_, zero) = catalogue.entry(name), neutral(name)
+    if unbounded := entry.cls.unbounded:
+        limits = [(*ranges[f"effects.{name}.{key}"], entry.parameters[key].high) for key in unbounded]
+        return all(high >= min(2.0 * value, bound) for value, _, high, bound in limits)  # of 1/value holds 0
     known = [ranges[f"effects.{name}.{key}"] for key in list(entry.parameters)[: entry.cls.vanishing]]
     return bool(known) and all(low <= zero <= high for _, low, high in known)
 

@@ -14,6 +14,7 @@ from racerl.documents import read_json
 from racerl.errors import ConfigError, LogError, RunError
 from racerl.estimation.unknowns import Unknown
 from racerl.gap import diagnose, elimination
+from racerl.gap.catalogue import neutral
 from racerl.gap.comparison import CandidateScore, Judge, Standing, close, equals
 from racerl.gap.decision import Decision, changed, passes_less_noise
 from racerl.gap.diagnose import _untestable, gap, next_manoeuvre
@@ -489,6 +490,25 @@ def test_a_rear_driven_split_is_no_idle_effect():
     ahead, aside = ((0.0005, -0.001, 0.002), (0.005, 0.004, 0.006))  # a point beside the car, neither ahead nor behind
     assert not _idle("lever_arm", {"effects.lever_arm.forward": ahead, "effects.lever_arm.left": aside})
     assert _idle("lever_arm", {"effects.lever_arm.forward": ahead, "effects.lever_arm.left": ahead})
+
+
+def test_a_limit_that_may_as_well_be_infinite_is_idle():
+    assert not _idle("current_limit", {"effects.current_limit.limit": (12.0, 10.8, 13.2)})
+    assert _idle("current_limit", {"effects.current_limit.limit": (70.0, 0.5, 150.0)})
+    assert _idle("steering_saturation", {"effects.steering_saturation.limit": (0.9, 0.75, 1.0)})  # its bound
+    known, unknown = (20.0, 18.0, 22.0), (20.0, 1.0, 50.0)  # of two, one that is known is enough
+    for stall, top in ((known, unknown), (unknown, known), (known, known)):
+        assert not _idle("back_emf", {"effects.back_emf.stall": stall, "effects.back_emf.top_speed": top})
+    assert _idle("back_emf", {"effects.back_emf.stall": unknown, "effects.back_emf.top_speed": unknown})
+
+
+def test_what_has_limits_says_which():
+    for name in catalogue.names():
+        entry = catalogue.entry(name)
+        assert set(entry.cls.unbounded) <= set(entry.parameters)
+        first, zero = neutral(name)
+        if entry.cls.vanishing and not entry.cls.unbounded:  # or no interval could ever hold "no effect"
+            assert entry.parameters[first].low <= zero <= entry.parameters[first].high, name
 
 
 def test_a_place_anywhere_on_the_floor_is_none():

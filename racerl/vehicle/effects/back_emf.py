@@ -9,7 +9,7 @@ Confused with: current_limit (the same at every speed), battery_sag.
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from racerl.vehicle.effects import Effect
 from racerl.vehicle.ops import Ops, Scalar
@@ -25,6 +25,8 @@ class BackEmf(Effect):
 
     stall: Scalar = parameter("m/s²", 1.0, 200.0, "a_0")
     top_speed: Scalar = parameter("m/s", 1.0, 50.0, "ω_0")
+
+    unbounded: ClassVar[tuple[str, ...]] = ("stall", "top_speed")
 
     def drive_rate(self, rate: Scalar, course: "Course", ops: Ops) -> Scalar:
         """Return ω̇ below the motor's line."""

@@ -9,7 +9,7 @@ Confused with: back_emf (the slope falls with speed), a longer time constant (sm
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from racerl.vehicle.effects import Effect
 from racerl.vehicle.ops import Ops, Scalar, soft_clip
@@ -24,6 +24,8 @@ class CurrentLimit(Effect):
     """Largest acceleration of the wheels."""
 
     limit: Scalar = parameter("m/s²", 0.5, 200.0, "a_max")
+
+    unbounded: ClassVar[tuple[str, ...]] = ("limit",)
 
     def drive_rate(self, rate: Scalar, course: "Course", ops: Ops) -> Scalar:
         """Return ω̇ within ± a_max."""

@@ -21,6 +21,7 @@ from racerl.vehicle.parameter import parameter
 class DriveSaturation(Effect):
     """Largest wheel speed."""
 
+    unbounded: ClassVar[tuple[str, ...]] = ("limit",)
     of_speed: ClassVar[bool] = True
     limit: Scalar = parameter("m/s", 0.1, 100.0, "ω_max")
 

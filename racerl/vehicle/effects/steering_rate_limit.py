@@ -9,7 +9,7 @@ Confused with: steering_second_order, a longer time constant (small steps tell).
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from racerl.vehicle.effects import Effect
 from racerl.vehicle.ops import Ops, Scalar, soft_clip
@@ -24,6 +24,8 @@ class SteeringRateLimit(Effect):
     """Largest steering rate."""
 
     limit: Scalar = parameter("rad/s", 0.2, 50.0, "R")
+
+    unbounded: ClassVar[tuple[str, ...]] = ("limit",)
 
     def steering_rate(self, rate: Scalar, course: "Course", ops: Ops) -> Scalar:
         """Return δ̇ within ± R."""

@@ -10,6 +10,7 @@ Confused with: steering_nonlinearity.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 from racerl.vehicle.effects import Effect
 from racerl.vehicle.ops import Ops, Scalar, soft_clip
@@ -21,6 +22,8 @@ class SteeringSaturation(Effect):
     """Largest road-wheel angle."""
 
     limit: Scalar = parameter("rad", 0.05, 1.0, "δ_max")
+
+    unbounded: ClassVar[tuple[str, ...]] = ("limit",)
 
     def steer(self, delta: Scalar, own: Mapping[str, Scalar], ops: Ops) -> Scalar:
         """Return δ within ± δ_max."""

@@ -27,6 +27,7 @@ class SteeringSecondOrder(Effect):
     frequency: Scalar = parameter("rad/s", 5.0, 200.0, "natural frequency Ω")
     damping: Scalar = parameter("", 0.2, 3.0, "damping ratio ζ", 0.8)
 
+    unbounded: ClassVar[tuple[str, ...]] = ("frequency", "damping")
     states: ClassVar[tuple[str, ...]] = ("rate",)
 
     def steering_rate(self, rate: Scalar, course: "Course", ops: Ops) -> Scalar:
