@@ -620,9 +620,10 @@ def _plan(settings: "Settings", out: Path) -> None:
 
 
 def _print_verdict(console: Any, facts: dict[str, Any]) -> None:
-    from racerl.gap.sentences import opening
+    from racerl.gap.sentences import likely, opening, unseen
 
     lines = [*opening(facts), f"verdict: {facts['verdict']}: {facts['reason']}"]
+    lines += [f"how likely: {said}"] if (said := likely(facts)) else []
     if residual := facts["residual"]:
         share = f"{residual['explained']:.0%} of the excess on held-out windows"
         lines.append(f"offered instead: a learned residual, {residual['vehicle']}, which takes {share}")
@@ -633,6 +634,7 @@ def _print_verdict(console: Any, facts: dict[str, Any]) -> None:
             f"gap over the noise: {gap['unfitted']:.2f} as configured, {gap['before']:.2f} refitted, "
             f"{gap['after']:.2f} with the effects found"
         )
+    lines += [said] if (said := unseen(facts)) else []
     lines += [*_log_remarks(facts), *(f"warning: {remark}" for remark in facts["remarks"])]
     _print_lines(console, *lines)
 

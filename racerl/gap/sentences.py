@@ -57,17 +57,48 @@ def numbers_told(configured: Mapping[str, Any]) -> list[str]:
     return lines
 
 
+def in_short(hypothesis: Mapping[str, Any]) -> str:
+    """Return what a hypothesis says is hidden."""
+    known = [name.replace("_", " ") for name in hypothesis["names"] if name != "?"]
+    return listed([*known, *(["something of no catalogue"] if "?" in hypothesis["names"] else [])]) or "nothing"
+
+
+def likely(facts: Mapping[str, Any]) -> str:
+    """Return the most probable hypotheses with their probabilities."""
+    rows = [row for row in facts["hypotheses"][:3] if row["probability"] >= 0.01]
+    return "; ".join(f"{in_short(row)} {row['probability']:.0%}" for row in rows)
+
+
+def unseen(facts: Mapping[str, Any]) -> str:
+    """Return which effects a log would not show, or how many where those are not told at a glance."""
+    blind = facts["blind_to"]
+    what = f"{len(blind)} effects (the report has them)" if len(blind) > 6 else listed(blind)
+    return f"would not show in this log at their usual size: {what}" if blind else ""
+
+
 def why_not(facts: Mapping[str, Any], hypothesis: Mapping[str, Any]) -> str:
-    """Return why a hypothesis of one effect is not the first: what it lacks against the best candidate."""
-    names, rows = hypothesis["names"], {row["name"]: row for row in facts["ranking"]}
-    if hypothesis is facts["hypotheses"][0] or len(names) != 1 or names[0] not in rows:
+    """Return why a hypothesis is not the first: what it lacks, or what the first does without more."""
+    names, first = set(hypothesis["names"]), set(facts["hypotheses"][0]["names"])
+    found = {effect["name"] for effect in facts["effects"] or facts["helped"]}
+    errors = {key: f"{facts['gap'][key]:.2f} times the sensors' noise" for key in ("before", "after") if facts["gap"]}
+    if names == first:
         return ""
-    best, row = facts["ranking"][0], rows[names[0]]
-    if row is best:
+    if not names and errors:
+        return f"refitted without any effect the error stays at {errors['before']}"
+    if first < names and first == found and errors:
+        return f"without more the error is at {errors['after']}"
+    if names == first - {"?"} == found and errors:
+        return f"with that alone the error stays at {errors['after']}"
+    return _behind(facts["ranking"], *names) if len(names) == 1 else ""
+
+
+def _behind(ranking: Sequence[Mapping[str, Any]], name: str) -> str:
+    """Return by how much an effect is behind the best candidate; nothing of what was not ranked behind it."""
+    row = next((row for row in ranking[1:] if row["name"] == name), None)
+    if row is None:
         return ""
-    explained = (
-        f"explains {row['explained']:.0%} of the excess, {best['name'].replace('_', ' ')} {best['explained']:.0%}"
-    )
+    best = f"{ranking[0]['name'].replace('_', ' ')} {ranking[0]['explained']:.0%}"
+    explained = f"explains {row['explained']:.0%} of the excess, {best}"
     return f"{explained}; {row['behind']:.1f} standard errors behind on held-out windows"
 
 

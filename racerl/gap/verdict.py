@@ -119,8 +119,11 @@ def _one_with(decision: Decision) -> list[str]:
 
 
 def _unsettled(rows: Sequence[CandidateScore]) -> list[CandidateScore]:
-    """Return the candidates that come out in place of an effect that does so in too few resamples."""
-    return [row for row in rows[1:] if row.leads >= RARE] if rows[0].leads < STABLE else []
+    """Return the candidates that come out in place of an effect that does so in too few resamples, one at least."""
+    if rows[0].leads >= STABLE:
+        return []
+    instead = sorted((row for row in rows[1:] if row.leads > 0.0), key=lambda row: -row.leads)
+    return [row for row in instead if row.leads >= RARE] or instead[:1]
 
 
 def open_stage(

@@ -10,7 +10,7 @@ from racerl.data.log import CHANNELS
 from racerl.documents import read_json, read_yaml
 from racerl.errors import DocumentError, RunError
 from racerl.gap.diagnose import LOCATE, PROOF, VERDICT
-from racerl.gap.sentences import PLAIN, headline, opening, why_not
+from racerl.gap.sentences import PLAIN, headline, in_short, opening, why_not
 from racerl.report.figures import gap_actuators, gap_channels, gap_maps, gap_path, gap_ranking, gap_stretch
 from racerl.report.page import figure, provenance, write_page
 from racerl.run import CONFIG, RunFolder
@@ -35,6 +35,7 @@ def draw_gap(run: Path) -> Path:
             headline=headline(facts),
             opening=opening(facts),
             why_not=partial(why_not, facts),
+            in_short=in_short,
             facts=facts,
             proof=proof,
             located=located,

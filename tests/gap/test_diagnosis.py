@@ -28,7 +28,7 @@ from racerl.gap.score import Score, summed
 from racerl.gap.screening import Screened, hopeful, scores
 from racerl.gap.stage import stages
 from racerl.gap.uncertainty import EXACT, FORM, TIMING, intervals
-from racerl.gap.verdict import Verdict, judge, open_stage, proved, separable
+from racerl.gap.verdict import Verdict, _unsettled, judge, open_stage, proved, separable
 from racerl.gap.workers import Workers
 from racerl.report.gap_page import draw_gap
 from racerl.vehicle import catalogue
@@ -692,6 +692,15 @@ def test_effects_that_are_one_in_a_log_are_rivals(monkeypatch):
         )
         assert verdict.reason == said
         assert verdict.kind == kind and verdict.rivals == (("steering_sensor_offset",) if kind == "ambiguous" else ())
+
+
+def test_of_many_that_come_out_rarely_the_first_is_the_rival():
+    rows = [SimpleNamespace(name=name, leads=lead) for name, lead in zip("abcd", (0.7, 0.06, 0.08, 0.0), strict=True)]
+    assert [row.name for row in _unsettled(rows)] == ["c"]
+    rows[1].leads = 0.2
+    assert [row.name for row in _unsettled(rows)] == ["b"]
+    rows[0].leads = 0.8
+    assert _unsettled(rows) == [] and _unsettled(rows[:1]) == []
 
 
 def test_a_name_that_resamples_shake_is_ambiguous_with_what_comes_out_instead(monkeypatch):

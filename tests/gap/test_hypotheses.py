@@ -19,7 +19,7 @@ from racerl.gap.hypotheses import (
     reaching,
     stop_features,
 )
-from racerl.gap.sentences import why_not
+from racerl.gap.sentences import in_short, likely, unseen, why_not
 
 
 def candidate(name, errors=5.0, explained=0.9, fall=0.5, behind=0.0, leads=1.0, like=0.0):
@@ -138,7 +138,22 @@ def test_weights_come_back_from_their_table():
 
 def test_why_a_runner_up_lost_is_told():
     ranking = [{"name": n, "explained": e, "behind": b} for n, e, b in (("a", 0.9, 0.0), ("b_c", 0.6, 3.4))]
-    facts = {"ranking": ranking, "hypotheses": [{"names": ["a"]}, {"names": ["b_c"]}, {"names": []}, {"names": ["?"]}]}
-    first, second, *others = (why_not(facts, each) for each in facts["hypotheses"])
+    named = [["a"], ["b_c"], [], ["?"], ["?", "a"], ["b_c", "d"]]
+    facts = {"ranking": ranking, "hypotheses": [{"names": each} for each in named], "effects": [{"name": "a"}]}
+    facts |= {"helped": [], "gap": {"before": 2.5, "after": 1.02}}
+    first, second, nothing, other, more, pair = (why_not(facts, each) for each in facts["hypotheses"])
     assert second == "explains 60% of the excess, a 90%; 3.4 standard errors behind on held-out windows"
-    assert first == "" and others == ["", ""]
+    assert nothing == "refitted without any effect the error stays at 2.50 times the sensors' noise"
+    assert more == "without more the error is at 1.02 times the sensors' noise"
+    assert first == other == pair == ""
+    alone = facts | {"hypotheses": [{"names": ["?", "a"]}, {"names": ["a"]}], "effects": [], "helped": [{"name": "a"}]}
+    assert why_not(alone, alone["hypotheses"][1]) == "with that alone the error stays at 1.02 times the sensors' noise"
+    assert why_not(facts | {"gap": None}, facts["hypotheses"][2]) == ""
+
+
+def test_the_likeliest_and_what_would_not_show_are_told_in_a_line():
+    rows = [{"names": names, "probability": p} for names, p in ((["?", "b_c"], 0.9), ([], 0.08), (["a"], 0.004))]
+    assert likely({"hypotheses": rows}) == "b c and something of no catalogue 90%; nothing 8%"
+    assert likely({"hypotheses": []}) == "" and in_short(rows[1]) == "nothing"
+    assert unseen({"blind_to": []}) == "" and unseen({"blind_to": ["a", "b"]}).endswith("size: a and b")
+    assert unseen({"blind_to": list("abcdefg")}).endswith("7 effects (the report has them)")
