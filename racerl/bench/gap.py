@@ -6,6 +6,7 @@ diagnosis in `work`, where an interrupted benchmark goes on. With `withhold`, wh
 catalogue: then `unknown` is right, or what the catalogue says the truth is confused with; other cases are left out.
 """
 
+import hashlib
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -20,7 +21,7 @@ from racerl.errors import ConfigError
 from racerl.gap.calibration import Case, calibrate, checked, compared, truth_of
 from racerl.gap.diagnose import NAME, VERDICT, gap
 from racerl.gap.hypotheses import Hypothesis
-from racerl.run import MANIFEST, is_complete
+from racerl.run import MANIFEST, is_complete, provenance
 from racerl.vehicle.catalogue import confused_with, names
 from racerl.vehicle.load import load_vehicle
 
@@ -65,7 +66,9 @@ class Gap:
                 cases.append(_case(rows[-1]["truth"], read_json(out / NAME)["rounds"]))
                 groups.append(f"{key.get('tyre')}, {key.get('slip')}")
         if self.calibration:
-            write_json(Path(self.calibration), calibration(cases, groups))
+            told = hashlib.sha256((folder / "keys.json").read_bytes()).hexdigest()
+            source = {"keys_sha256": told, "vehicle": self.vehicle, "threads": threads, **provenance()}
+            write_json(Path(self.calibration), {"source": source, **calibration(cases, groups)})
         return {
             "gap": {
                 "cases": rows,
