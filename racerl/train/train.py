@@ -14,6 +14,7 @@ from racerl.assemble import build_vehicle, check_settings, choose_device, use_th
 from racerl.control.policy import FACTS, UNREFINED, improved_by, load_policy, save_policy
 from racerl.documents import read_json
 from racerl.errors import ConfigError, Diverged, RunError
+from racerl.evaluate.evaluate import learned
 from racerl.registry import construct
 from racerl.run import RunFolder
 from racerl.train.algorithms import Algorithm, create_algorithm
@@ -82,7 +83,8 @@ def require_sound(run: Path) -> None:
 
 
 def _finish(session: Session, facts: dict[str, Any]) -> None:
-    """Mark the run complete; add to the facts what the session knows."""
+    """Mark the run complete; add to the facts what the policy is made of, and what the session knows."""
+    facts |= {"made_of": learned(session.settings)}
     facts |= {"seconds": round(session.seconds, 1), "best": session.best}
     session.keep_failures()
     session.folder.finish(**facts)

@@ -33,6 +33,7 @@ def onward(run, *words, ending=EVOLUTION):
 def test_the_policy_goes_on_in_the_changed_car_with_the_rest_as_it_was(ending, steps, origin, tmp_path):
     facts = train_onward(onward(origin, "vehicle=published", "seed=3", ending=ending), tmp_path / "on")
     run = RunFolder.open_complete(tmp_path / "on", "train")
+    assert run.manifest["made_of"].startswith("PPO, refined on")
     settings, before = run.settings(), RunFolder.open_complete(origin).settings()
     assert settings["vehicle"] == compose_settings("train", ["vehicle=published"])["vehicle"] != before["vehicle"]
     assert [settings[key]["name"] for key in ("obs", "action")] == ["progress", "speed"] and settings["seed"] == 3

@@ -31,6 +31,7 @@ SMOKE = ["budget=smoke", "threads=1"]
 def test_a_finished_run_holds_policy_log_and_manifest(smoke_run):
     folder = RunFolder.open_complete(smoke_run, "train")
     assert folder.manifest["steps"] == 2048 and folder.manifest["seed"] == 0 and folder.manifest["threads"] == 1
+    assert folder.manifest["made_of"] == "PPO"
     lines = [json.loads(line) for line in (smoke_run / "progress.jsonl").read_text().splitlines()]
     assert [line["steps"] for line in lines] == [1024, 2048] and "train/reward" in lines[1]
     assert any((smoke_run / "tensorboard").iterdir()) and not (smoke_run / CHECKPOINT).exists()
