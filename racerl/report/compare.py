@@ -7,7 +7,7 @@ from typing import Any
 from racerl.errors import ConfigError, RunError
 from racerl.paper import LAPS
 from racerl.report.driver import ALLOWED, Driver, listed, same
-from racerl.report.figures import duel
+from racerl.report.figures import attitude, duel
 from racerl.report.flying_lap import FlyingLap
 from racerl.report.page import figure, write_page
 from racerl.report.report import origins, paper_rows, table_row
@@ -16,6 +16,10 @@ from racerl.run import RunFolder
 CAPTION = (
     "The fastest lap of either, one that never leaves the track where there is one. Marks stand where the cars are at "
     "equal times since the line. Delta time is A's time at a place less B's: where it falls, A is gaining."
+)
+ATTITUDE = (
+    "The same two laps, coloured by speed. Short bars are as long as a car, the dot is its nose: where one leaves the "
+    "line, the car slides."
 )
 DIGITISED = (
     " The paper's laps are digitised; their speed and steering end 0.8 m before the line, the last value is held there."
@@ -47,6 +51,9 @@ def compare(settings: Mapping[str, Any], out: Path, outputs: Path = Path("output
         rows=[table_row(a.subject), table_row(b.subject), *paper_rows()],
         figure=figure(
             folder.path / "compare.svg", "Lines, speed, delta time, steering, side slip and margin", caption, svg
+        ),
+        attitude=figure(
+            folder.path / "attitude.svg", "Speed and side slip", ATTITUDE, attitude.draw([a.lap, b.lap], a.track)
         ),
         provenance=[row for driver in (a, b) for row in origins(driver.subject)],
     )

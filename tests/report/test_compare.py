@@ -12,16 +12,18 @@ from racerl.config import run_command
 from racerl.data.log import Log
 from racerl.documents import conf_folder
 from racerl.errors import RacerlError
-from racerl.evaluate.outcome import write_outcome
+from racerl.evaluate.outcome import track_table, write_outcome
 from racerl.evaluate.recorded import follow
 from racerl.paper import human_lap, rl_lap
 from racerl.report.compare import compare
 from racerl.report.driver import Driver
+from racerl.report.figures import attitude
 from racerl.report.flying_lap import FlyingLap, delta_time
 from racerl.run import RunFolder
 from racerl.track.load import read_track
 
 TRACK = read_track(conf_folder() / "track" / "l_shape.csv")
+TRACK_TABLE = track_table(TRACK)
 
 
 @pytest.fixture(scope="module")
@@ -77,6 +79,17 @@ def test_marks_stand_on_the_line_at_equal_times(human, slower):
         assert abs(step[0] * way[1] - step[1] * way[0]) < 1e-9 and 0.0 <= step @ way <= step @ step
 
 
+def test_a_slide_is_told_and_drawn_where_the_heading_was_recorded(human):
+    plain = attitude.draw([human, human], TRACK_TABLE)
+    assert "side slip" not in plain
+    samples = human.samples
+    course = np.arctan2(np.gradient(samples["y"], samples["t"]), np.gradient(samples["x"], samples["t"]))
+    sliding = samples.assign(v_y=-np.tan(np.radians(30.0)) * samples["v_x"], yaw=course + np.radians(30.0))
+    shown = attitude.draw([replace(human, samples=sliding), human], TRACK_TABLE)
+    assert shown.count("side slip up to 30°") == 1
+    assert shown.count("<use ") > plain.count("<use ") + human.time_s / attitude.EVERY - 2  # a nose for each
+
+
 def test_time_starts_at_the_line_and_ends_with_the_lap(human):
     assert human.time_at(np.array([0.0, human.length])) == pytest.approx([0.0, human.time_s])
     assert human.samples["s"].iloc[0] < 0.0 < human.samples["s"].iloc[1] and human.length == pytest.approx(TRACK.length)
@@ -97,11 +110,11 @@ def test_the_page_holds_both_drivers_and_the_papers(tmp_path):
     pages = [compare({"drivers": runs}, tmp_path / out, tmp_path) for out in ("c1", "c2")]
     page = pages[0].read_text()
     assert page == pages[1].read_text()  # drawn twice, byte by byte
-    assert not re.search(r'(src|href)="(?!data:|#)', page) and page.count("</figure>") == 1
+    assert not re.search(r'(src|href)="(?!data:|#)', page) and page.count("</figure>") == 2
     assert titled(page) == "A is 0.291 s faster than B: 5.559 s to 5.850 s"
     for value in ("A: fast", "B: slow", "5.559", "5.850", "paper: MPC", "5.847"):
         assert value in page, value
-    assert (tmp_path / "c1" / "compare.svg").read_text().startswith("<?xml")
+    assert all((tmp_path / "c1" / name).read_text().startswith("<?xml") for name in ("compare.svg", "attitude.svg"))
 
 
 def test_the_papers_curves_are_left_out_where_they_do_not_belong(tmp_path):
