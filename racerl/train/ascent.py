@@ -39,8 +39,6 @@ from racerl.train.improve import falling
 from racerl.train.practice import Practice
 from racerl.train.session import Session
 
-BETAS = (0.9, 0.99)  # of RAdam; the second forgets in a hundred steps, of which there are a few hundred
-
 
 @dataclass(frozen=True)
 class Ascent:
@@ -54,6 +52,7 @@ class Ascent:
     episode: int
     again: float
     learning_rate: Sequence[float]
+    betas: Sequence[float]
     gradient_norm: float
     price: float
     reserve: float
@@ -72,6 +71,7 @@ class Ascent:
             1.0,
             "two numbers are expected, the first and the last",
         )
+        bounds.pair("budget.ascent.betas", self.betas, 1e-9, 0.9999, "two shares are expected")
         bounds.number("budget.ascent.again", self.again, 0.0, 0.999)
         bounds.number("budget.ascent.gradient_norm", self.gradient_norm, 1e-9, 1e9)
         bounds.number("budget.ascent.price", self.price, 0.0, 1e6)
@@ -102,7 +102,8 @@ class Climb:
         self.settings, self.lead, self.race = settings, lead, race
         self.practice = Practice(lead, policy, settings, torch.Generator(lead.device).manual_seed(seed))
         self.network: nn.Module = policy.network.requires_grad_()
-        self.adam = torch.optim.RAdam(self.network.parameters(), lr=settings.learning_rate[0], betas=BETAS)
+        first, second = settings.betas
+        self.adam = torch.optim.RAdam(self.network.parameters(), lr=settings.learning_rate[0], betas=(first, second))
         self.done = 0
 
     def advance(self) -> dict[str, float]:

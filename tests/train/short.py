@@ -28,6 +28,7 @@ ASCENT = {
     "episode": 40,
     "again": 0.9,
     "learning_rate": "[0.001,0.0001]",
+    "betas": "[0.9,0.99]",
     "gradient_norm": 20.0,
     "price": 400.0,
     "reserve": 0.05,

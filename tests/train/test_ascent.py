@@ -32,6 +32,7 @@ PLAN = Ascent(
     episode=60,
     again=0.5,
     learning_rate=[0.01, 0.01],
+    betas=[0.9, 0.99],
     gradient_norm=1e9,
     price=400.0,
     reserve=0.05,
@@ -197,6 +198,7 @@ def test_its_policies_say_how_they_were_made():
     [
         (ascent(cars=0), "cars"),
         (ascent(learning_rate=0.1), "two numbers"),
+        (ascent(betas="[0.9,1.0]"), "budget.ascent.betas = 1.0"),
         (ascent(price=-1), "price"),
         (ascent(gradient_norm=0), "gradient_norm"),
         (ascent(pairs=2), "no setting 'pairs'"),
