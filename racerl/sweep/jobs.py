@@ -9,14 +9,17 @@ seeds, in the world (vehicle, track, …) of the others.
 
 import hashlib
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from racerl.control.policy import UNREFINED, improved_by
-from racerl.run import Compose, config_hash, is_complete
+from racerl.control.policy import FACTS, UNREFINED, improved_by
+from racerl.errors import RacerlError
+from racerl.run import CONFIG, Compose, RunFolder, config_hash, is_complete
 from racerl.sweep.definition import Sweep
 from racerl.track.folder import OTHERS
+from racerl.train.train import beginning
 from racerl.vehicle.cars import CARS
 
 UNTRAINED = -1  # stands for the seed of what is not trained
@@ -178,6 +181,25 @@ def _group(word: str) -> str:
 
 def _named(words: Sequence[str]) -> list[Path]:
     return [Path(word.partition("=")[2]) for word in words]
+
+
+def begun_alike(job: Job) -> Path | None:
+    """Return another job's training that begins as this one does and is through with that; None where there is none."""
+    if job.train is None or not improved_by(job.train["budget"]):
+        return None
+    for facts in sorted(job.path.parent.glob(f"*/{job.trained.name}/{UNREFINED}/{FACTS}")):
+        run = facts.parents[1]
+        with suppress(OSError, RacerlError, KeyError, TypeError, AttributeError):  # damaged
+            same = beginning(RunFolder.open(run, "train").settings()) == beginning(job.train)
+            if same and run != job.trained and _newer(run / CONFIG, _read_by(job.train)):
+                return run
+    return None
+
+
+def _newer(config: Path, files: Sequence[Path]) -> bool:
+    """Return whether files are as they were when a run's configuration was written."""
+    facts = [path.stat() for path in files if path.is_file()]
+    return all(max(each.st_mtime, each.st_ctime) < config.stat().st_mtime for each in facts)
 
 
 def _read_by(train: Mapping[str, Any]) -> list[Path]:

@@ -19,7 +19,7 @@ from racerl.evaluate.rivals import race
 from racerl.interruption import behind, listen
 from racerl.record.record import record
 from racerl.run import is_complete
-from racerl.sweep.jobs import Job, Race
+from racerl.sweep.jobs import Job, Race, begun_alike
 from racerl.train.session import Progress
 from racerl.train.train import require_sound, train
 
@@ -71,7 +71,7 @@ def _finish(job: Job) -> None:
         tell(share, remark, rate, progress.evaluation.get("mean_lap_s"), left)
 
     if job.train is not None and not is_complete(job.trained):
-        train(job.train, job.trained, training)
+        train(job.train, job.trained, training, begun=begun_alike(job))
     if job.train is not None:
         require_sound(job.trained)
     before = 0.0 if job.train is None else TRAINING

@@ -68,11 +68,20 @@ class JsonLines(KVWriter):
     def rewind(self, steps: int) -> None:
         """Take back the lines after so many steps, which a killed run wrote behind its checkpoint."""
         if self.path.is_file():
-            lines = read_text(self.path, 16 * MAX_TEXT_BYTES).splitlines()
-            write_text(self.path, "".join(f"{line}\n" for line in lines if _steps(line) <= steps))
+            write_text(self.path, _until(self.path, steps))
 
     def close(self) -> None:
         """Nothing is kept open."""
+
+
+def copy_progress(run: Path, other: Path, steps: int) -> None:
+    """Put what a training logged up to so many steps into another run's folder."""
+    write_text(other / PROGRESS, _until(run / PROGRESS, steps))
+
+
+def _until(path: Path, steps: int) -> str:
+    lines = read_text(path, 16 * MAX_TEXT_BYTES).splitlines()
+    return "".join(f"{line}\n" for line in lines if _steps(line) <= steps)
 
 
 def _steps(line: str) -> float:

@@ -11,12 +11,12 @@ from typing import Any
 
 from racerl import bounds
 from racerl.assemble import build_vehicle, check_settings, choose_device, use_threads
-from racerl.control.policy import FACTS, UNREFINED, improved_by, load_policy, save_policy
+from racerl.control.policy import FACTS, IMPROVEMENTS, UNREFINED, improved_by, load_policy, save_policy
 from racerl.documents import read_json
 from racerl.errors import ConfigError, Diverged, RunError
 from racerl.evaluate.evaluate import learned
 from racerl.registry import construct
-from racerl.run import RunFolder
+from racerl.run import RunFolder, config_hash
 from racerl.train.algorithms import Algorithm, create_algorithm
 from racerl.train.ascent import Ascent
 from racerl.train.checkpoint import FILE as TRAINING
@@ -24,17 +24,21 @@ from racerl.train.checkpoint import discard
 from racerl.train.improve import FILE as IMPROVING
 from racerl.train.improve import Improvement, improve
 from racerl.train.refinement import Refinement
-from racerl.train.session import Progress, Session
+from racerl.train.session import Progress, Session, copy_progress
 from racerl.train.trackers import create_tracker
 
 KINDS = {"refinement": (Refinement, "evolution.yaml"), "ascent": (Ascent, "laptop.yaml")}  # and a budget that has one
 
 
 def train(
-    settings: Mapping[str, Any], out: Path, on_progress: Callable[[Progress], None] = lambda progress: None
+    settings: Mapping[str, Any],
+    out: Path,
+    on_progress: Callable[[Progress], None] = lambda progress: None,
+    begun: Path | None = None,
 ) -> dict[str, Any]:
     """Train a policy into the run folder `out`; return the facts that the manifest keeps.
 
+    `begun`: a run that begins as this one does, whose policy before the improvement, with its seconds, is taken over.
     Raises RunError where the weights do not stay finite; the run is complete then, with the best policy from before.
     """
     bounds.whole("seed", settings["seed"], 0, 2**31 - 1)
@@ -48,7 +52,7 @@ def train(
     own = {key: value for key, value in settings.items() if key != "tracking"}
     session = Session(own, out, choose_device(settings["device"]), on_progress, tracker)
     try:
-        facts = algorithm.train(session) if improvement is None else _improved(session, algorithm, improvement)
+        facts = algorithm.train(session) if improvement is None else _improved(session, algorithm, improvement, begun)
     except Diverged as error:
         if session.best is None:
             raise RunError(f"training {error}; no policy was examined before") from error
@@ -92,11 +96,21 @@ def _finish(session: Session, facts: dict[str, Any]) -> None:
         discard(session.out / name)
 
 
-def _improved(session: Session, algorithm: Algorithm, improvement: Improvement) -> dict[str, Any]:
+def beginning(settings: Mapping[str, Any]) -> str:
+    """Return a hash of what decides a training before its improvement."""
+    budget = {key: value for key, value in settings["budget"].items() if key not in IMPROVEMENTS}
+    return config_hash({**settings, "budget": budget})
+
+
+def _improved(
+    session: Session, algorithm: Algorithm, improvement: Improvement, begun: Path | None = None
+) -> dict[str, Any]:
     """Train, keep the policy as it is then, and improve it; a run that was interrupted on the way goes on there."""
     before = session.out / UNREFINED
-    if (before / FACTS).is_file():
+    if begun or (before / FACTS).is_file():
         session.start()
+        if begun and not (before / FACTS).is_file():
+            _take_over(begun, session.out)
         facts = read_json(before / FACTS)
         learned, session.best, began = facts["learned"], facts["evaluation"], facts["seconds"]
         session.earlier_seconds = began
@@ -106,3 +120,12 @@ def _improved(session: Session, algorithm: Algorithm, improvement: Improvement) 
             session.logger.dump(learned["steps"])
         save_policy(load_policy(session.out), before, evaluation=session.best, learned=learned, seconds=began)
     return learned | improve(session, improvement, load_policy(before, session.device), learned["steps"], began)
+
+
+def _take_over(begun: Path, out: Path) -> None:
+    """Put into a run what another that begins alike had come to before its improvement."""
+    facts, policy = read_json(begun / UNREFINED / FACTS), load_policy(begun / UNREFINED)
+    copy_progress(begun, out, facts["learned"]["steps"])
+    save_policy(policy, out, evaluation=facts["evaluation"])
+    kept = {key: facts[key] for key in ("evaluation", "learned", "seconds")}
+    save_policy(policy, out / UNREFINED, **kept)  # the last, for it says that all is there
