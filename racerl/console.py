@@ -11,11 +11,14 @@ from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn
 from rich.table import Table
 from rich.text import Text
 
+from racerl.vehicle.compiler import telling
+
 if TYPE_CHECKING:
     from racerl.sweep.engine import Status
     from racerl.train.session import Progress as TrainProgress
 
 PLAIN_PERIOD = 10.0  # s between lines without a terminal
+COMPILING = "compiling for this machine, once"
 SETTLING = 3.0  # s before which nothing is said of the time left
 
 
@@ -37,14 +40,17 @@ class Bar:
             disable=not console.is_terminal,
         )
         self._task = self._progress.add_task(title, total=1.0, remark="")
+        self._compiling = telling(lambda: self.show(0.0, COMPILING))
 
     def __enter__(self) -> "Bar":
         self._progress.start()
+        self._compiling.__enter__()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self._compiling.__exit__(kind, error, trace)
         self._progress.stop()
 
     def begin(self, title: str) -> None:

@@ -7,6 +7,7 @@ from rich.console import Console
 
 from racerl import console
 from racerl.console import Bar, Left, clock
+from racerl.vehicle import compiler
 
 
 @pytest.fixture
@@ -31,6 +32,17 @@ def test_a_live_bar_never_shows_less_either():
         bar.show(0.82, "fit")
         bar.show(0.04, "held-out runs")
         assert bar._progress.tasks[0].completed == 0.82
+
+
+def test_the_bar_says_what_it_waits_for_and_stays_where_it_is(monkeypatch):
+    heard = []
+    monkeypatch.setattr(compiler, "_listeners", heard)
+    with Bar(Console(file=io.StringIO(), force_terminal=True), "gap") as bar:
+        bar.show(0.3, "locate")
+        heard[0]()
+        task = bar._progress.tasks[0]
+        assert (task.completed, task.fields["remark"]) == (0.3, "compiling for this machine, once")
+    assert not heard
 
 
 def test_the_time_left_follows_the_mean_pace(now):

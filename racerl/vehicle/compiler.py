@@ -18,7 +18,8 @@ import stat
 import subprocess
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from racerl.documents import alone, user_cache
@@ -31,6 +32,18 @@ FLAGS = ("-march=native", "-ffast-math", "-fopenmp-simd", "-fPIC")
 THOROUGH, QUICK = ("-O3",), ("-O1", "-ftree-vectorize", "-fno-tree-slp-vectorize")
 
 ABANDONED = 3600.0  # s, after which a folder that a compiler works in was left behind
+
+_listeners: list[Callable[[], None]] = []  # called, from whichever thread, before the compiler is
+
+
+@contextmanager
+def telling(listener: Callable[[], None]) -> Iterator[None]:
+    """Tell somebody whenever a kernel has to be compiled, for that takes seconds."""
+    _listeners.append(listener)
+    try:
+        yield
+    finally:
+        _listeners.remove(listener)
 
 
 def cache_folder() -> Path:
@@ -128,6 +141,8 @@ def _compile(compiler: Sequence[str], code: str, folder: Path, identity: str) ->
         if library := _kept(folder, identity):
             return library
         _sweep(folder)
+        for listener in tuple(_listeners):
+            listener()
         path, unit, built = (Path(work) / f"kernel.{suffix}" for suffix in ("c", "o", "so"))
         path.write_text(code)
         # linked without -ffast-math, which would make the whole process flush subnormal numbers to zero

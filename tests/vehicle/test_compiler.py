@@ -7,7 +7,7 @@ import time
 import pytest
 
 from racerl.vehicle import compiler
-from racerl.vehicle.compiler import build, cache_folder
+from racerl.vehicle.compiler import build, cache_folder, telling
 from tests.vehicle.test_kernel import needs_compiler
 
 SEVEN = "int seven(void) { return 7; }"
@@ -33,6 +33,16 @@ def test_a_damaged_library_is_built_anew(harm, cache, caplog):
     with caplog.at_level(logging.WARNING):
         assert build(SEVEN).seven() == 7
     assert "is damaged; it is built anew" in caplog.text and library.read_bytes() == content
+
+
+@needs_compiler
+def test_who_listens_hears_of_what_is_compiled_and_of_nothing_that_is_kept(cache):
+    heard = []
+    with telling(lambda: heard.append(1)):
+        for _ in range(2):
+            build(SEVEN)
+    build("int nine(void) { return 9; }")
+    assert heard == [1]
 
 
 def test_the_folder_is_private_whatever_the_umask(cache):
