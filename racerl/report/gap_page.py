@@ -15,6 +15,7 @@ from racerl.report.figures import gap_actuators, gap_channels, gap_maps, gap_pat
 from racerl.report.page import figure, provenance, write_page
 from racerl.run import CONFIG, RunFolder
 
+FOLDED = ("ranking", "maps")  # figures
 UNITS = {name: channel.unit for name, channel in CHANNELS.items()}
 
 
@@ -24,11 +25,11 @@ def draw_gap(run: Path) -> Path:
     try:
         facts = read_json(folder.path / VERDICT)
         proof, located = (read_json(folder.path / name) if facts["gap"] else None for name in (PROOF, LOCATE))
-        figures = [
-            figure(folder.path / f"{name}.svg", title, caption, svg)
+        figures = {
+            name: figure(folder.path / f"{name}.svg", title, caption, svg)
             for name, title, caption, svg in _drawn(facts, proof, located)
             if svg
-        ]
+        }
         return write_page(
             folder.path,
             "gap_page.html.j2",
@@ -39,7 +40,8 @@ def draw_gap(run: Path) -> Path:
             facts=facts,
             proof=proof,
             located=located,
-            figures=figures,
+            figures=[each for name, each in figures.items() if name not in FOLDED],
+            folded=[each for name, each in figures.items() if name in FOLDED],
             units=UNITS,
             horizon=read_yaml(folder.path / CONFIG)["window"],
             provenance=provenance(folder.manifest),
