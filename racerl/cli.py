@@ -206,7 +206,7 @@ def effects(
     console = _console()
     if name is None:
         for known in catalogue.names():
-            console.print(f"{known:<28}{catalogue.entry(known).title}", highlight=False, soft_wrap=True, markup=False)
+            console.print(f"{known:<28}{catalogue.entry(known).title}", highlight=False, soft_wrap=True)
         return
     entry = catalogue.entry(name)
     lines = [entry.title, *(f"{aspect}: {text}" for aspect, text in entry.aspects.items())]
@@ -540,7 +540,7 @@ def _quoted(path: Path) -> str:
 
 def _print_lines(console: Any, *lines: str) -> None:
     for line in lines:
-        console.print(line, highlight=False, soft_wrap=True, markup=False)
+        console.print(line, highlight=False, soft_wrap=True)
 
 
 def _gap(words: Sequence[str], settings: "Settings", out: Path) -> None:
@@ -753,16 +753,17 @@ def _optimum(settings: "Settings", out: Path) -> None:
 
 def _print_identification(console: Any, facts: dict[str, Any]) -> None:
     from rich.table import Table
+    from rich.text import Text
 
     from racerl.report.identification_page import UNITS, factor, headline, measure, spread
 
-    console.print(headline(facts), highlight=False, soft_wrap=True, markup=False)
+    console.print(headline(facts), highlight=False, soft_wrap=True)
     fitted, title = facts["fitted"], f"error of {facts['horizon']}-sample rollouts (RMSE)"
     compared = ("before", "identified", "factor") if fitted else ("given vehicle",)
     table = Table("channel", "unit", *compared, "first value held", title=title)
     for name, row in facts["verdict"]["channels"].items():
         errors = [measure(row[key]) for key in (("before", "after") if fitted else ("after",))]
-        factors = [f"[red]{factor(row)}[/red]" if row["grew"] else factor(row)] if fitted else []
+        factors = [Text(factor(row), style="red" if row["grew"] else "")] if fitted else []
         table.add_row(name, UNITS[name], *errors, *factors, measure(row["still"]))
     console.print(table)
     if not fitted:
@@ -864,28 +865,26 @@ def _data(words: Sequence[str], settings: "Settings", out: Path) -> None:
     for log in facts["logs"]:
         _print_log(console, log)
     for warning in facts["warnings"]:
-        console.print(f"warning: {warning}", highlight=False, soft_wrap=True, markup=False)
+        console.print(f"warning: {warning}", highlight=False, soft_wrap=True)
     _print_lines(console, f"report in {draw_logs(out)}", f"next: {_following('racerl identify LOG', words, out)}")
 
 
 def _print_topics(console: Any, bag: "UnmappedBag") -> None:
-    from rich.markup import escape
     from rich.table import Table
 
     table = Table("topic", "type", "messages")
     for topic in bag.topics:
-        table.add_row(escape(topic.name), escape(topic.kind), f"{topic.messages:,}")
+        table.add_row(topic.name, topic.kind, f"{topic.messages:,}")
     console.print(table)
     if bag.draft:
-        console.print(bag.draft, highlight=False, soft_wrap=True, markup=False)
+        console.print(bag.draft, highlight=False, soft_wrap=True)
 
 
 def _print_log(console: Any, log: dict[str, Any]) -> None:
-    from rich.markup import escape
     from rich.table import Table
 
     title = f"{log['name']}: {log['seconds']:.1f} s in {len(log['runs'])} runs at {log['rate_hz']:g} Hz"
-    table = Table("channel", "unit", "least", "greatest", "noise", "new per s", title=escape(title))
+    table = Table("channel", "unit", "least", "greatest", "noise", "new per s", title=title)
     for name, channel in log["channels"].items():
         noise = "–" if channel["noise"] is None else f"{channel['noise']:.2g}"
         row = (channel["unit"], f"{channel['min']:.3f}", f"{channel['max']:.3f}", noise, f"{channel['updates_hz']:.0f}")
@@ -899,7 +898,7 @@ def _print_log(console: Any, log: dict[str, Any]) -> None:
 def _console() -> Any:
     from rich.console import Console
 
-    return Console()
+    return Console(markup=False)  # brackets are units, and parts of paths
 
 
 def main() -> None:

@@ -31,10 +31,10 @@ class Bar:
         self._share = 0.0
         self._printed = -PLAIN_PERIOD
         self._progress = Progress(
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             BarColumn(bar_width=24),
             TextColumn("{task.percentage:3.0f} %"),
-            TextColumn("{task.fields[remark]}"),
+            TextColumn("{task.fields[remark]}", markup=False),
             _LeftColumn(self.left),
             console=console,
             disable=not console.is_terminal,

@@ -10,8 +10,10 @@ Files may come from anybody: sizes are limited before anything is read, and ever
 import gzip
 import io
 import itertools
+import re
 import warnings
 import zlib
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -139,6 +141,9 @@ def read_table(path: Path) -> pd.DataFrame:
         raise
     except (OSError, EOFError, zlib.error, ValueError, OverflowError, MemoryError, Warning, pa.ArrowException) as error:
         detail = " ".join(str(error).split())[:160] or type(error).__name__
+        if ragged := re.search(r"Expected (\d+) fields in line (\d+), saw (\d+)", detail):
+            told = f"line {ragged[2]} has {ragged[3]} numbers, the header {ragged[1]} columns"
+            raise LogError(f"{path}: {told}; mend or remove that line") from error
         raise LogError(f"{path}: cannot be read ({detail}); is the file complete?") from error
 
 
@@ -163,6 +168,7 @@ def _read_csv(path: Path, content: bytes) -> pd.DataFrame:
         raise LogError(f"{path}: its first line is no header; at most {MAX_COLUMNS} columns are read")
     if b"\0" in content:
         raise LogError(f"{path}: holds zero bytes, so it is no text; is it another kind of file, or damaged?")
+    _require_commas(path, content, header)
     with warnings.catch_warnings():
         warnings.simplefilter("error", pd.errors.ParserWarning)
         table = pd.read_csv(io.BytesIO(content), index_col=False, low_memory=False, skipinitialspace=True)
@@ -177,6 +183,20 @@ def _read_parquet(path: Path) -> pd.DataFrame:
         if cells > MAX_CELLS or metadata.num_columns > MAX_COLUMNS or size > MAX_BYTES:
             raise LogError(f"{path}: {metadata.num_rows} rows, {metadata.num_columns} columns; too large, cut the log")
         return _limited(path, as_frame(file.read(use_threads=False)))
+
+
+def _require_commas(path: Path, content: bytes, header: bytes) -> None:
+    """Raise LogError for text that is not UTF-8, other separators, and a column that is there twice."""
+    try:
+        content.decode()
+    except UnicodeDecodeError as error:
+        raise LogError(f"{path}: is no UTF-8 text (byte {error.start}); save it as UTF-8") from None
+    if b"," not in header and (other := next((sign for sign in (b";", b"\t") if sign in header), None)):
+        sign = "';'" if other == b";" else "tabs"
+        raise LogError(f"{path}: its columns are parted by {sign}; write commas between them, and points in numbers")
+    names = Counter(name.strip().strip('"') for name in header.decode().lstrip("\ufeff").split(","))
+    if doubled := [name for name, count in names.items() if count > 1 and name]:
+        raise LogError(f"{path}: has the column '{doubled[0]}' twice; rename one")
 
 
 def _limited(path: Path, table: pd.DataFrame) -> pd.DataFrame:

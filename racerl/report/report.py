@@ -147,7 +147,7 @@ def paper_rows() -> list[dict[str, Any]]:
             "std": number(row["std_lap_s"], 2),
             "e_off": number(row["e_off"], 5),
             "crashes": "–",
-            "valid": "of 20",
+            "valid": "– of 20",
         }
         for row in table_1().to_dict("records")
     ]
