@@ -1,9 +1,12 @@
 """From a resolved configuration, a plain mapping, to the objects of the world."""
 
 import ctypes
+import hashlib
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -22,6 +25,7 @@ from racerl.registry import construct
 from racerl.track.folder import OTHERS
 from racerl.track.load import load_track
 from racerl.track.track import Track
+from racerl.vehicle.cars import CARS
 from racerl.vehicle.load import load_vehicle, vehicle_document
 from racerl.vehicle.vehicle import Vehicle
 
@@ -97,6 +101,18 @@ def check_settings(settings: Settings) -> None:
     effects = settings["vehicle"].get("effects")
     if not isinstance(effects, Mapping | None):
         raise ConfigError(f"config: vehicle.effects = {effects!r}: a mapping from effects to their numbers is expected")
+
+
+def files_read(settings: Settings) -> dict[str, str]:
+    """Return hashes of the user's files that settings name, by path: a vehicle, tracks, cars to draw from."""
+    vehicle, track, cars = settings["vehicle"].get("file"), settings["track"].get("file"), settings["dr"].get("cars")
+    others = [each["file"] for each in settings["track"].get(OTHERS, [])]
+    paths = [*(Path(each) for each in (vehicle, track, *others) if each), *([Path(cars) / CARS] if cars else [])]
+    found = {}
+    for path in paths:
+        with suppress(OSError, ValueError):  # it is told where the file is read
+            found[str(path)] = hashlib.sha256(path.read_bytes()).hexdigest()
+    return found
 
 
 def use_threads(threads: Any) -> None:

@@ -192,3 +192,5 @@ def _changed(before: Mapping[str, Any], after: Mapping[str, Any]) -> Iterator[st
     for key in MACHINE:
         if before.get(key) != after.get(key):
             yield f"{key}: {before.get(key)} then, {after.get(key)} now"
+    files, now = (manifest.get("files") or {} for manifest in (before, after))
+    yield from (f"{path}: another content now" for path, content in files.items() if now.get(path, content) != content)

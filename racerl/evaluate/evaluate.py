@@ -3,6 +3,7 @@
 Reads a finished training run, or a drive log; `racerl.evaluate.outcome` says what is written.
 """
 
+import logging
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,7 +11,7 @@ from typing import Any, NamedTuple
 import torch
 
 from racerl import bounds
-from racerl.assemble import Car, build_race, check_settings, choose_device, unlimited, use_threads
+from racerl.assemble import Car, build_race, check_settings, choose_device, files_read, unlimited, use_threads
 from racerl.control.policy import FACTS, UNREFINED, improved_by, load_policy
 from racerl.documents import read_json
 from racerl.env.race import Race
@@ -25,6 +26,8 @@ from racerl.optimum.floor import problem_hash
 from racerl.paper import PAPER
 from racerl.registry import construct
 from racerl.run import MANIFEST, RunFolder
+
+log = logging.getLogger(__name__)
 
 REFINED = {"": "", "refinement": " refined by evolution", "ascent": " refined"}
 # in another world than it was learned in
@@ -93,6 +96,9 @@ def origin_of(run: Path) -> Origin:
     training = RunFolder.open_complete(run.parent if before else run, "train")
     settings, identity = training.settings(), str(training.manifest["run_id"])
     check_settings(settings)
+    for path, now in files_read(settings).items():
+        if training.manifest.get("files", {}).get(path, now) != now:
+            log.warning("%s has changed since %s was trained; it is read as it is now", path, training.path)
     if not before:
         return Origin(training, settings, {key: training.manifest.get(key) for key in ("steps", "seconds")}, identity)
     facts = read_json(run / FACTS)

@@ -14,13 +14,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from racerl.assemble import files_read
 from racerl.control.policy import FACTS, UNREFINED, improved_by
 from racerl.errors import RacerlError
-from racerl.run import CONFIG, Compose, RunFolder, config_hash, is_complete
+from racerl.run import Compose, RunFolder, config_hash, is_complete
 from racerl.sweep.definition import Sweep
-from racerl.track.folder import OTHERS
 from racerl.train.train import beginning
-from racerl.vehicle.cars import CARS
 
 UNTRAINED = -1  # stands for the seed of what is not trained
 LEARNED, REFINED = "learned", "refined"  # policies of one training
@@ -132,7 +131,7 @@ def _training(
     # what differs from job to job is put in here: composing takes a quarter of a second, the same words once
     own = [*map(str, settings["words"]), f"threads={settings['threads']}"]
     train = {**compose("train", [*words, *own]), "seed": seed}
-    files = _contents(_read_by(train))
+    files = list(files_read(train).values())
     path = out / "jobs" / f"{arm}-{seed}-{config_hash({**train, 'files': files} if files else train)[:6]}"
     trained, races = path / "train", {}
     refined = improved_by(train["budget"])
@@ -190,23 +189,11 @@ def begun_alike(job: Job) -> Path | None:
     for facts in sorted(job.path.parent.glob(f"*/{job.trained.name}/{UNREFINED}/{FACTS}")):
         run = facts.parents[1]
         with suppress(OSError, RacerlError, KeyError, TypeError, AttributeError):  # damaged
-            same = beginning(RunFolder.open(run, "train").settings()) == beginning(job.train)
-            if same and run != job.trained and _newer(run / CONFIG, _read_by(job.train)):
+            folder = RunFolder.open(run, "train")
+            same = folder.manifest.get("files") == files_read(job.train)  # by content
+            if same and run != job.trained and beginning(folder.settings()) == beginning(job.train):
                 return run
     return None
-
-
-def _newer(config: Path, files: Sequence[Path]) -> bool:
-    """Return whether files are as they were when a run's configuration was written."""
-    facts = [path.stat() for path in files if path.is_file()]
-    return all(max(each.st_mtime, each.st_ctime) < config.stat().st_mtime for each in facts)
-
-
-def _read_by(train: Mapping[str, Any]) -> list[Path]:
-    """Return the files that a training's settings name: its vehicle, its tracks, the cars that it draws from."""
-    vehicle, track, cars = train["vehicle"].get("file"), train["track"].get("file"), train["dr"].get("cars")
-    others = [each["file"] for each in train["track"].get(OTHERS, [])]
-    return [*(Path(each) for each in (vehicle, track, *others) if each), *([Path(cars) / CARS] if cars else [])]
 
 
 def _contents(paths: Sequence[Path]) -> list[str]:

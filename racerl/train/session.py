@@ -14,7 +14,7 @@ import torch
 from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat
 from torch import Tensor, nn
 
-from racerl.assemble import build_race, build_races, one_world_each, unlimited
+from racerl.assemble import build_race, build_races, files_read, one_world_each, unlimited
 from racerl.control.policy import AnyPolicy, create_policy, save_policy
 from racerl.documents import MAX_TEXT_BYTES, read_text, write_text
 from racerl.env.black_box import read_failures, write_failures
@@ -144,6 +144,7 @@ class Session:
     def start(self) -> None:
         """Create the run folder, or continue in it; the clock starts."""
         facts = {"seed": self.seed, "threads": self.settings["threads"], "device": str(self.device)}
+        facts["files"] = files_read(self.settings)
         self.folder = RunFolder.start(self.out, "train", self.settings, **facts)
         self.failures = read_failures(self.folder.path)
         tensorboard = TensorBoardOutputFormat(str(self.folder.path / "tensorboard"))

@@ -10,10 +10,12 @@ from racerl.assemble import build_race
 from racerl.config import compose_settings
 from racerl.control.networks import build_network
 from racerl.control.policy import save_policy
+from racerl.documents import conf_folder
 from racerl.errors import RacerlError
 from racerl.evaluate import evaluate as stage
 from racerl.run import RunFolder
 from racerl.train.session import policy_of
+from racerl.train.train import train
 from racerl.vehicle import kernel
 
 NASTY = [None, 3, 0, -1, 1e30, True, "x", "", "a\0b", "x" * 5000, "/dev/zero", [], [1, 2], ["a"], {}, {"a": 1}]
@@ -101,3 +103,15 @@ def _paths(settings, above=()):
         yield (*above, key)
         if isinstance(value, dict):
             yield from _paths(value, (*above, key))
+
+
+def test_a_vehicle_that_has_changed_since_the_training_is_told(tmp_path, caplog):
+    car = tmp_path / "car.yaml"
+    car.write_text((conf_folder() / "vehicle" / "published.yaml").read_text())
+    settings = compose_settings("train", ["budget=smoke", "budget.steps=1024", f"vehicle={car}"])
+    train(settings, tmp_path / "run")
+    stage.origin_of(tmp_path / "run")
+    assert not caplog.text
+    car.write_text(car.read_text() + "# another\n")
+    stage.origin_of(tmp_path / "run")
+    assert f"{car} has changed since {tmp_path / 'run'} was trained" in caplog.text
