@@ -128,14 +128,18 @@ class Log:
 def sample_time(name: str, table: pd.DataFrame) -> float:
     """Return the time between samples in s; raise LogError when time does not advance."""
     t = table["t"].to_numpy()
-    steps = np.diff(t)
+    steps, rows = np.diff(t), np.arange(1, len(t))
     if "run" in table:
-        steps = steps[(table["run"].to_numpy()[1:] == table["run"].to_numpy()[:-1])]
+        same = table["run"].to_numpy()[1:] == table["run"].to_numpy()[:-1]
+        steps, rows = steps[same], rows[same]
     if len(steps) == 0:
         raise LogError(f"{name}: holds {len(table)} usable rows; at least two of one run are needed")
     back = int((steps <= 0).sum())
     if back > 0.01 * len(steps) or ("run" in table and back):
-        raise LogError(f"{name}: time does not increase at {back} of {len(steps)} rows; sort them, drop doubled ones")
+        first = rows[int(np.argmax(steps <= 0))]
+        where = f"first from {t[first - 1]:g} to {t[first]:g} s in row {first}"
+        cure = "drop doubled rows; several drives in one file need a column run with a number for each"
+        raise LogError(f"{name}: time does not increase at {back} of {len(steps)} rows, {where}; {cure}")
     dt = round(float(np.median(steps[steps > 0])), 9)
     if not 1e-4 <= dt <= 0.5:
         raise LogError(f"{name}: {dt:.4g} s between samples; allowed is 0.0001 … 0.5 s; is the time in another unit?")

@@ -1,9 +1,10 @@
 """The log: runs, rate and the plausibility of what it holds."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from racerl.data.log import Log
+from racerl.data.log import Log, sample_time
 from racerl.errors import LogError
 
 
@@ -41,3 +42,10 @@ def test_bad_tables_are_one_line(driven, spoil, said):
     with pytest.raises(LogError, match=said) as error:
         Log.from_table("drive", spoil(driven))
     assert "\n" not in str(error.value)
+
+
+def test_where_time_goes_back_is_told():
+    t = np.concatenate([0.01 * np.arange(50), 0.01 * np.arange(30, 80)])
+    with pytest.raises(LogError, match=r"at 1 of 99 rows, first from 0.49 to 0.3 s in row 50; .*a column run"):
+        sample_time("a", pd.DataFrame({"t": t, "run": 0}))
+    assert sample_time("a", pd.DataFrame({"t": t, "run": np.repeat([0, 1], 50)})) == 0.01
