@@ -451,6 +451,10 @@ def _translate(command: str, error: Exception) -> ConfigError:
     if place := re.fullmatch(r"invalid literal for int\(\) with base 10: '(.*)'", text):
         whole = "give the list as a whole, as dr.parameters=[friction,mass]"
         return ConfigError(f"unknown key '….{place[1]}': what is before it is a list; {whole}")
+    if several := re.match(r"Ambiguous value for argument '([^'=]+)=([^']*)'", text):
+        decimal = re.fullmatch(r"[-+]?\d+,\d+", several[2])
+        cure = f"write a point, {several[2].replace(',', '.')}" if decimal else f"a list is {several[1]}=[{several[2]}]"
+        return ConfigError(f"{several[1]} = {several[2]}: {cure}; for several runs add --multirun")
     key = re.search(
         r"(?:Could not override|Could not delete from config|Could not append to config)[^']*'([^']+)'", text
     )
@@ -465,6 +469,8 @@ def _translate(command: str, error: Exception) -> ConfigError:
 def _unknown_key(command: str, key: str, known: Collection[str]) -> ConfigError:
     """Return what to say of a key that is not there: the nearest by its whole name or its last, and where all are."""
     group = key.partition(".")[0]
+    if effect := re.fullmatch(r"vehicle(?:/effect|\.effects\.(\w+)(?:\..*)?)", key):
+        return ConfigError(f"unknown key '{key}': an effect is added, +vehicle/effect={effect[1] or 'NAME'}")
     if "." in key and optional_groups(command) & {group}:
         return ConfigError(f"unknown key '{key}' while {group} is the run's; give {group}=NAME or FILE with it")
     if having := _having(key, group) if group in default_groups(command) else []:
