@@ -470,7 +470,8 @@ def _unknown_key(command: str, key: str, known: Collection[str]) -> ConfigError:
     """Return what to say of a key that is not there: the nearest by its whole name or its last, and where all are."""
     group = key.partition(".")[0]
     if effect := re.fullmatch(r"vehicle(?:/effect|\.effects\.(\w+)(?:\..*)?)", key):
-        return ConfigError(f"unknown key '{key}': an effect is added, +vehicle/effect={effect[1] or 'NAME'}")
+        name = effect[1] or "NAME"
+        return ConfigError(f"unknown key '{key}': an effect is added, +vehicle/effect={name}; racerl effects {name}")
     if "." in key and optional_groups(command) & {group}:
         return ConfigError(f"unknown key '{key}' while {group} is the run's; give {group}=NAME or FILE with it")
     if having := _having(key, group) if group in default_groups(command) else []:
