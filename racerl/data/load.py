@@ -116,16 +116,20 @@ def _read(path: Path, layout: Layout) -> Log:
         reckoned = _is_reckoned(streams)
         streams, spikes = _without_spikes(path.name, streams)
         pieces = _cut_streams(path.name, streams, layout)
-        said = (*remarks, *more, *_slow_pose(streams), *_spike_remark(spikes))
+        rate = min((streams[channel].rate for channel in POSE if channel in streams), default=SLOW_POSE)
+        said = (*remarks, *more, *_slow_pose(rate), *_spike_remark(spikes))
         log = _assemble(path.name, pieces, layout, layout.resample or BAG_RATE, said)
         return replace(log, reckoned=reckoned)
     if layout.of_bag:
         raise LogError(f"{path}: is no bag, but its mapping names topics{_likely(_columns(read_table(path)))}")
     table, remarks = _named(path, read_table(path), layout)
     if _as_it_is(table, layout):
-        return Log.from_table(path.name, table, remarks)
-    pieces, more = _cut_table(path.name, table, layout)
-    return _assemble(path.name, pieces, layout, layout.resample, (*remarks, *more))
+        log = Log.from_table(path.name, table, remarks)
+    else:
+        pieces, more = _cut_table(path.name, table, layout)
+        log = _assemble(path.name, pieces, layout, layout.resample, (*remarks, *more))
+    said = _slow_pose(1.0 / log.dt) if {*POSE} <= {*log.channels} else ()
+    return replace(log, remarks=(*log.remarks, *said))
 
 
 def read_table(path: Path) -> pd.DataFrame:
@@ -324,9 +328,8 @@ def _cut_table(name: str, table: pd.DataFrame, layout: Layout) -> tuple[list[Pie
     return pieces, (*remarks, *_spike_remark(spikes))
 
 
-def _slow_pose(streams: Mapping[str, Stream]) -> tuple[str, ...]:
-    """Say so when velocities would be made from poses that come too seldom."""
-    rate = min((streams[channel].rate for channel in POSE if channel in streams), default=SLOW_POSE)
+def _slow_pose(rate: float) -> tuple[str, ...]:
+    """Say so when poses come too seldom, so many times a second, for velocities made from them."""
     if rate >= SLOW_POSE:
         return ()
     return (f"the pose comes {rate:.0f} times per second, too seldom for the velocities made from it; 40 are needed",)

@@ -223,3 +223,9 @@ def test_a_gzip_bomb_is_refused(tmp_path, monkeypatch):
 def test_a_missing_file_is_one_line(tmp_path):
     with pytest.raises(LogError, match="no such file"):
         load(tmp_path / "a.csv")
+
+
+def test_poses_that_come_too_seldom_are_told_in_tables_too(driven, tmp_path):
+    said = {step: load(save(driven.iloc[::step], tmp_path / f"{step}.csv")).remarks for step in (1, 3, 20)}
+    assert not any("too seldom" in line for step in (1, 3) for line in said[step])
+    assert any(line.startswith("the pose comes 5 times per second, too seldom") for line in said[20])
