@@ -304,7 +304,7 @@ def _silent(logs: Sequence[Log]) -> dict[str, Any]:
     return {
         "verdict": "under_excited",
         "configured": {"error": None, "explained": 0.0, "changes": [], "rest": 0.0},
-        "reason": f"{seconds:.0f} s of log hold no {FEWEST} windows of driving with the channels that a stage needs",
+        "reason": f"{seconds:.1f} s of log hold no {FEWEST} windows of driving with the channels that a stage needs",
         "effects": [],
         "helped": [],
         "ambiguous_with": [],

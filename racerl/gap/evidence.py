@@ -256,7 +256,7 @@ def derived(runs: Sequence[pd.DataFrame], dt: float) -> bool:
     x, y, yaw = (run[name].to_numpy() for name in POSE)
     noise = np.array([_spread(column) for column in given])
     for window, order in FILTERS:
-        if len(run) > window:
+        if len(run) > 2 * window:
             made = np.array(velocities(x, y, yaw, dt, window, order))
             inner = slice(window, -window)
             if (np.median(np.abs(made - given)[:, inner], axis=1) < ALIKE * np.maximum(noise, 1e-6)).all():

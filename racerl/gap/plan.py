@@ -15,7 +15,7 @@ from racerl.data.log import Log
 from racerl.documents import write_json
 from racerl.errors import LogError
 from racerl.gap.checkpoint import Checkpoint
-from racerl.gap.diagnose import check, cut, excitations, refit
+from racerl.gap.diagnose import FEWEST, check, cut, excitations, refit
 from racerl.gap.score import Score, summed
 from racerl.gap.screening import scores
 from racerl.gap.verdict import alike
@@ -43,7 +43,9 @@ def plan(
     logs = load_measured(settings) if settings["logs"] else [programme(settings, compose)]
     evidence = cut(logs, settings)
     if not evidence:
-        raise LogError("the logs hold no stretch of driving long enough to compare; give longer ones")
+        told = ", ".join(f"{log.name}: {log.seconds:.1f} s" for log in logs)
+        least = f"{FEWEST} stretches of {settings['window']} samples above {settings['slowest']:g} m/s are needed"
+        raise LogError(f"{told}; {least}; give longer logs, or more channels (racerl data shows them)")
     folder = RunFolder.start(out, "gap plan", settings, seed=settings["seed"], threads=settings["threads"])
     on_progress("refitting the vehicle", 0.1)
     checkpoint = Checkpoint.of(folder.path, settings, evidence)
