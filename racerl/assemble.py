@@ -111,7 +111,8 @@ def files_read(settings: Settings) -> dict[str, str]:
     found = {}
     for path in paths:
         with suppress(OSError, ValueError):  # it is told where the file is read
-            found[str(path)] = hashlib.sha256(path.read_bytes()).hexdigest()
+            if path.is_file():  # and no device
+                found[str(path)] = hashlib.sha256(path.read_bytes()).hexdigest()
     return found
 
 

@@ -208,7 +208,7 @@ def test_a_log_without_driving_gives_no_guess(clean, tmp_path):
     assert facts["verdict"] == "under_excited" and facts["effects"] == [] and "circles" in facts["next_manoeuvre"]
     assert load_vehicle({"file": str(tmp_path / "out" / "model.yaml")}).effects == {}
     assert "under excited" in draw_gap(tmp_path / "out").read_text()
-    with pytest.raises(LogError, match="no stretch of driving"):
+    with pytest.raises(LogError, match=r"20 stretches of 85 samples above 0\.5 m/s"):
         plan(settings_for(parked, tmp_path), tmp_path / "plan", compose_settings)
 
 
