@@ -105,9 +105,11 @@ def check_settings(settings: Settings) -> None:
 
 def files_read(settings: Settings) -> dict[str, str]:
     """Return hashes of the user's files that settings name, by path: a vehicle, tracks, cars to draw from."""
-    vehicle, track, cars = settings["vehicle"].get("file"), settings["track"].get("file"), settings["dr"].get("cars")
-    others = [each["file"] for each in settings["track"].get(OTHERS, [])]
-    paths = [*(Path(each) for each in (vehicle, track, *others) if each), *([Path(cars) / CARS] if cars else [])]
+    others = [each for each in settings["track"].get(OTHERS, []) if isinstance(each, Mapping)]
+    named = [each.get("file") for each in (settings["vehicle"], settings["track"], *others)]
+    paths = [Path(each) for each in named if isinstance(each, str) and each]
+    if isinstance(cars := settings["dr"].get("cars"), str):
+        paths.append(Path(cars) / CARS)
     found = {}
     for path in paths:
         with suppress(OSError, ValueError):  # it is told where the file is read

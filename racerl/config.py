@@ -452,9 +452,10 @@ def _translate(command: str, error: Exception) -> ConfigError:
         whole = "give the list as a whole, as dr.parameters=[friction,mass]"
         return ConfigError(f"unknown key '….{place[1]}': what is before it is a list; {whole}")
     if several := re.match(r"Ambiguous value for argument '([^'=]+)=([^']*)'", text):
-        decimal = re.fullmatch(r"[-+]?\d+,\d+", several[2])
-        cure = f"write a point, {several[2].replace(',', '.')}" if decimal else f"a list is {several[1]}=[{several[2]}]"
-        return ConfigError(f"{several[1]} = {several[2]}: {cure}; for several runs add --multirun")
+        cure = f"a list is {several[1]}=[{several[2]}], several runs need --multirun"
+        if re.fullmatch(r"[-+]?\d+,\d+", several[2]):
+            cure += f", and a decimal has a point, {several[2].replace(',', '.')}"
+        return ConfigError(f"{several[1]} = {several[2]}: {cure}")
     key = re.search(
         r"(?:Could not override|Could not delete from config|Could not append to config)[^']*'([^']+)'", text
     )
@@ -470,8 +471,12 @@ def _unknown_key(command: str, key: str, known: Collection[str]) -> ConfigError:
     """Return what to say of a key that is not there: the nearest by its whole name or its last, and where all are."""
     group = key.partition(".")[0]
     if effect := re.fullmatch(r"vehicle(?:/effect|\.effects\.(\w+)(?:\..*)?)", key):
+        known = choices("vehicle/effect")
+        if effect[1] and effect[1] not in known:
+            return ConfigError(f"unknown effect '{effect[1]}'{suggest(effect[1], known)}")
         name = effect[1] or "NAME"
-        return ConfigError(f"unknown key '{key}': an effect is added, +vehicle/effect={name}; racerl effects {name}")
+        told = f"an effect is added by +vehicle/effect={name}, and racerl effects {name} has its parameters"
+        return ConfigError(f"unknown key '{key}': {told}")
     if "." in key and optional_groups(command) & {group}:
         return ConfigError(f"unknown key '{key}' while {group} is the run's; give {group}=NAME or FILE with it")
     if having := _having(key, group) if group in default_groups(command) else []:

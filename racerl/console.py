@@ -40,7 +40,7 @@ class Bar:
             disable=not console.is_terminal,
         )
         self._task = self._progress.add_task(title, total=1.0, remark="")
-        self._compiling = telling(lambda: self.show(0.0, COMPILING))
+        self._compiling = telling(lambda: self._progress.update(self._task, remark=COMPILING))
 
     def __enter__(self) -> "Bar":
         self._progress.start()
@@ -56,7 +56,7 @@ class Bar:
     def begin(self, title: str) -> None:
         """Begin anew with the next part of the work."""
         self.title, self._share, self._printed = title, 0.0, -PLAIN_PERIOD
-        self._progress.update(self._task, description=title, completed=0.0)
+        self._progress.update(self._task, description=title, completed=0.0, remark="")
 
     def show(self, share: float, remark: str, seconds_left: float | None = None) -> None:
         """Update to a share in 0 … 1; a smaller one than before leaves the bar where it is."""

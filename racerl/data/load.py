@@ -7,6 +7,7 @@ where only poses are given, and the tracked point is moved to the centre of grav
 Files may come from anybody: sizes are limited before anything is read, and every complaint is one line.
 """
 
+import csv
 import gzip
 import io
 import itertools
@@ -146,7 +147,7 @@ def read_table(path: Path) -> pd.DataFrame:
     except (OSError, EOFError, zlib.error, ValueError, OverflowError, MemoryError, Warning, pa.ArrowException) as error:
         detail = " ".join(str(error).split())[:160] or type(error).__name__
         if ragged := re.search(r"Expected (\d+) fields in line (\d+), saw (\d+)", detail):
-            told = f"line {ragged[2]} has {ragged[3]} numbers, the header {ragged[1]} columns"
+            told = f"line {ragged[2]} has {ragged[3]} numbers, those before it {ragged[1]}"
             raise LogError(f"{path}: {told}; mend or remove that line") from error
         raise LogError(f"{path}: cannot be read ({detail}); is the file complete?") from error
 
@@ -198,7 +199,8 @@ def _require_commas(path: Path, content: bytes, header: bytes) -> None:
     if b"," not in header and (other := next((sign for sign in (b";", b"\t") if sign in header), None)):
         sign = "';'" if other == b";" else "tabs"
         raise LogError(f"{path}: its columns are parted by {sign}; write commas between them, and points in numbers")
-    names = Counter(name.strip().strip('"') for name in header.decode().lstrip("\ufeff").split(","))
+    cells = next(csv.reader([header.decode().lstrip("\ufeff")], skipinitialspace=True), [])
+    names = Counter(name.strip() for name in cells)
     if doubled := [name for name, count in names.items() if count > 1 and name]:
         raise LogError(f"{path}: has the column '{doubled[0]}' twice; rename one")
 

@@ -137,7 +137,7 @@ def sample_time(name: str, table: pd.DataFrame) -> float:
     back = int((steps <= 0).sum())
     if back > 0.01 * len(steps) or ("run" in table and back):
         first = rows[int(np.argmax(steps <= 0))]
-        where = f"first from {t[first - 1]:g} to {t[first]:g} s in row {first}"
+        where = f"first from {t[first - 1]:.10g} to {t[first]:.10g} s in row {first}"
         cure = "drop doubled rows; several drives in one file need a column run with a number for each"
         raise LogError(f"{name}: time does not increase at {back} of {len(steps)} rows, {where}; {cure}")
     dt = round(float(np.median(steps[steps > 0])), 9)

@@ -48,6 +48,7 @@ def evaluate(
     name = label(origin.settings)
     car = construct(Car, settings["car"], "car")
     race_settings = combine(origin.settings, settings, car)
+    _tell_of_changes(origin.training, race_settings)
     device = choose_device(settings["device"])
     policy = load_policy(run, device)
     # the policy knows what it sees and does, in which scale
@@ -96,9 +97,6 @@ def origin_of(run: Path) -> Origin:
     training = RunFolder.open_complete(run.parent if before else run, "train")
     settings, identity = training.settings(), str(training.manifest["run_id"])
     check_settings(settings)
-    for path, now in files_read(settings).items():
-        if training.manifest.get("files", {}).get(path, now) != now:
-            log.warning("%s has changed since %s was trained; it is read as it is now", path, training.path)
     if not before:
         return Origin(training, settings, {key: training.manifest.get(key) for key in ("steps", "seconds")}, identity)
     facts = read_json(run / FACTS)
@@ -106,6 +104,15 @@ def origin_of(run: Path) -> Origin:
     steps = learned.get("steps") if isinstance(learned, Mapping) else None
     course = {"steps": steps, "seconds": facts.get("seconds")}
     return Origin(training, {**settings, "budget": None}, course, f"{identity}/{UNREFINED}")
+
+
+def _tell_of_changes(training: RunFolder, settings: Mapping[str, Any]) -> None:
+    """Warn of files that a race reads and that were others when the policy was trained."""
+    if not isinstance(known := training.manifest.get("files"), Mapping):
+        return
+    for path, now in files_read(settings).items():
+        if known.get(path, now) != now:
+            log.warning("%s has changed since %s was trained; it is raced in what it is now", path, training.path)
 
 
 def _evaluate_log(settings: Mapping[str, Any], out: Path) -> dict[str, Any]:

@@ -30,7 +30,7 @@ def actuators(evidence: Mapping[str, Evidence]) -> dict[str, dict[str, Any]]:
             continue
         command, response = part.columns[asked], part.columns[shown]
         rows = _settled(part, command)
-        if len(rows) < FEWEST:
+        if len(rows) < FEWEST or (np.ptp(command[rows]) == 0.0 and np.ptp(command) > 0.0):
             continue
         rows = rows[np.linspace(0, len(rows) - 1, min(MOST, len(rows))).astype(int)]
         found[name] = {

@@ -85,7 +85,7 @@ def why_not(facts: Mapping[str, Any], hypothesis: Mapping[str, Any]) -> str:
         return ""
     if not names and errors:
         return f"refitted without any effect the error stays at {errors['before']}"
-    if first < names and first == found and errors:
+    if first and first < names and first == found and errors:
         return f"without more the error is at {errors['after']}"
     if names == first - {"?"} == found and errors:
         return f"with that alone the error stays at {errors['after']}"

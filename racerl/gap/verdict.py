@@ -119,7 +119,7 @@ def _one_with(decision: Decision) -> list[str]:
 
 
 def _unsettled(rows: Sequence[CandidateScore]) -> list[CandidateScore]:
-    """Return the candidates that come out in place of an effect that does so in too few resamples, one at least."""
+    """Return the candidates that come out in place of an effect that does so in too few resamples, if any does."""
     if rows[0].leads >= STABLE:
         return []
     instead = sorted((row for row in rows[1:] if row.leads > 0.0), key=lambda row: -row.leads)

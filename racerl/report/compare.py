@@ -17,10 +17,8 @@ CAPTION = (
     "The fastest lap of either, one that never leaves the track where there is one. Marks stand where the cars are at "
     "equal times since the line. Delta time is A's time at a place less B's: where it falls, A is gaining."
 )
-ATTITUDE = (
-    "The same two laps, coloured by speed. Short bars are as long as a car, the dot is its nose: where one leaves the "
-    "line, the car slides."
-)
+ATTITUDE = "The same two laps, coloured by speed."
+HEADING = " Short bars are as long as a car, the dot is its nose: where one leaves the line, the car slides."
 DIGITISED = (
     " The paper's laps are digitised; their speed and steering end 0.8 m before the line, the last value is held there."
 )
@@ -53,7 +51,10 @@ def compare(settings: Mapping[str, Any], out: Path, outputs: Path = Path("output
             folder.path / "compare.svg", "Lines, speed, delta time, steering, side slip and margin", caption, svg
         ),
         attitude=figure(
-            folder.path / "attitude.svg", "Speed and side slip", ATTITUDE, attitude.draw([a.lap, b.lap], a.track)
+            folder.path / "attitude.svg",
+            "Speed and heading",
+            ATTITUDE + (HEADING if any("yaw" in lap.samples for lap in (a.lap, b.lap)) else "") + DIGITISED * theirs,
+            attitude.draw([a.lap, b.lap], a.track),
         ),
         provenance=[row for driver in (a, b) for row in origins(driver.subject)],
     )

@@ -79,7 +79,7 @@ def _drawn(
         (
             "actuators",
             "The actuators by themselves",
-            "Measured where the command had stood for 0.3 s, without any model; dotted: response = command.",
+            "Measured where the command had stood for 0.3 s, without any model; dotted, or a dash: response = command.",
             gap_actuators.draw(located["actuators"], UNITS),
         ),
         (

@@ -124,7 +124,8 @@ def _with_own_titles(subjects: list[Subject]) -> list[Subject]:
 def _subject(training: RunFolder | None, evaluated: RunFolder | None, around: Sequence[RunFolder]) -> Subject:
     evaluation = _read_evaluation(evaluated) if evaluated else None
     if evaluation:
-        floor = evaluation.metrics.get("optimum_s") or find_floor(evaluation.manifest.get("problem"), around)
+        known = evaluation.metrics.get("optimum_s")
+        floor = known if isinstance(known, float) else find_floor(evaluation.manifest.get("problem"), around)
         evaluation = replace(evaluation, floor_s=floor)
     progress = read_progress(training.path) if training else None
     name = next(run for run in (training, evaluated) if run).path.name

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from racerl.assemble import files_read
-from racerl.control.policy import FACTS, UNREFINED, improved_by
+from racerl.control.policy import FACTS, UNREFINED, improved_by, load_policy
 from racerl.errors import RacerlError
 from racerl.run import Compose, RunFolder, config_hash, is_complete
 from racerl.sweep.definition import Sweep
@@ -192,6 +192,7 @@ def begun_alike(job: Job) -> Path | None:
             folder = RunFolder.open(run, "train")
             same = folder.manifest.get("files") == files_read(job.train)  # by content
             if same and run != job.trained and beginning(folder.settings()) == beginning(job.train):
+                load_policy(run / UNREFINED)
                 return run
     return None
 

@@ -194,7 +194,7 @@ def test_a_wrong_mapping_names_the_likely_one(driven, tmp_path):
         ("a.csv", b"\x00\x01\x02" * 50, "zero bytes|no text|cannot be read"),
         ("a.csv", b"t,v_x\n0,1\n0.01,1\n0.02,x\n", "not numeric"),
         ("a.csv", b"t,v_x\n0,1,5\n0.01,1,2\n", "cannot be read"),
-        ("a.csv", b"t,v_x\n0,1\n0.01,1,2\n", "line 3 has 3 numbers, the header 2 columns"),
+        ("a.csv", b"t,v_x\n0,1\n0.01,1,2\n", "line 3 has 3 numbers, those before it 2"),
         ("a.csv", b"t,x, x \n0,1,2\n0.01,1,2\n", "has the column 'x' twice"),
         ("a.csv", b"t;x\n0;1\n", "columns are parted by ';'"),
         ("a.csv", b"t\tx\n0\t1\n", "columns are parted by tabs"),

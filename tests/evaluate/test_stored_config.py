@@ -110,8 +110,15 @@ def test_a_vehicle_that_has_changed_since_the_training_is_told(tmp_path, caplog)
     car.write_text((conf_folder() / "vehicle" / "published.yaml").read_text())
     settings = compose_settings("train", ["budget=smoke", "budget.steps=1024", f"vehicle={car}"])
     train(settings, tmp_path / "run")
-    stage.origin_of(tmp_path / "run")
-    assert not caplog.text
+    race(tmp_path / "run", tmp_path / "one")
+    assert "has changed" not in caplog.text
     car.write_text(car.read_text() + "# another\n")
-    stage.origin_of(tmp_path / "run")
+    race(tmp_path / "run", tmp_path / "elsewhere", "vehicle=f1tenth")
+    assert "has changed" not in caplog.text  # it is not read
+    race(tmp_path / "run", tmp_path / "other")
     assert f"{car} has changed since {tmp_path / 'run'} was trained" in caplog.text
+
+
+def race(run, out, *words):
+    settings = compose_settings("evaluate", ["run=policy", "laps=1", "seeds=[0]", *words])
+    stage.evaluate({**settings, "run": str(run)}, out)

@@ -91,6 +91,14 @@ def test_a_speed_that_is_always_commanded_is_where_windows_begin_only_where_it_i
     assert (begin == 2.0).all() if reached == 2.0 else begin == pytest.approx(1.3, abs=0.05)
 
 
+def test_a_launch_to_the_speed_that_is_always_commanded_is_no_standing_there():
+    rising = 2.0 * (1.0 - np.exp(-np.arange(390.0) / 60.0))
+    log = drive(omega_ref=np.full(390, 2.0), omega=rising, delta_ref=np.sin(np.arange(390.0)))
+    wiring = choose_wiring([log])
+    found = cut([log], wiring, wiring.driven(make_car()), 50, 10, 0.0)
+    assert found.still(wiring) == () and found.windows.initial[STATE.index("omega"), 0] == 0.0
+
+
 def test_slow_windows_are_left_out():
     log = drive()
     wiring = choose_wiring([log])

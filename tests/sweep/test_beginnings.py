@@ -61,11 +61,10 @@ def test_a_file_that_has_changed_since_makes_another_beginning(jobs):
     write_json(before.trained / "manifest.json", manifest)
 
 
-def test_a_damaged_folder_is_nobodys_beginning(jobs):
-    config = jobs["slow", 0].trained / CONFIG
-    kept = config.read_text()
-    config.write_text("budget: [")
-    assert begun_alike(jobs["evolved", 0]) in (None, jobs["fast", 0].trained)
-    config.write_text("budget: 3\n")
-    assert begun_alike(jobs["evolved", 0]) in (None, jobs["fast", 0].trained)
-    config.write_text(kept)
+@pytest.mark.parametrize("file", [CONFIG, f"{UNREFINED}/policy.safetensors", f"{UNREFINED}/policy.json"])
+def test_a_damaged_folder_is_nobodys_beginning(file, jobs):
+    before = jobs["slow", 0].trained
+    kept = (before / file).read_bytes()
+    (before / file).write_bytes(kept[:40])
+    assert begun_alike(jobs["evolved", 0]) != before
+    (before / file).write_bytes(kept)
