@@ -1,7 +1,6 @@
 """From a resolved configuration, a plain mapping, to the objects of the world."""
 
 import ctypes
-import hashlib
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -13,6 +12,7 @@ import torch
 
 from racerl import bounds
 from racerl.documents import conf_folder as conf_folder
+from racerl.documents import content_hash
 from racerl.env.actions import Action, create_action
 from racerl.env.observations import create_observation, settings_of
 from racerl.env.race import Race, Timing
@@ -114,7 +114,7 @@ def files_read(settings: Settings) -> dict[str, str]:
     for path in paths:
         with suppress(OSError, ValueError):  # it is told where the file is read
             if path.is_file():  # and no device
-                found[str(path)] = hashlib.sha256(path.read_bytes()).hexdigest()
+                found[str(path)] = content_hash(path)
     return found
 
 

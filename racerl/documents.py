@@ -149,6 +149,11 @@ def require_content(path: Path) -> None:
         raise DocumentError(f"{path}: cannot be read (it is empty); give a file with something in it")
 
 
+def content_hash(path: Path) -> str:
+    """Return a hash of what a file holds."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
 def read_bytes(path: Path, limit: int) -> bytes:
     """Read a file of at most `limit` bytes; raise DocumentError otherwise, and for what never ends: pipes, devices."""
     try:

@@ -6,7 +6,6 @@ diagnosis in `work`, where an interrupted benchmark goes on. With `withhold`, wh
 catalogue: then `unknown` is right, or what the catalogue says the truth is confused with; other cases are left out.
 """
 
-import hashlib
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -16,7 +15,7 @@ from statistics import median
 from typing import Any
 
 from racerl.bench import Compose, Progress
-from racerl.documents import read_json, write_json
+from racerl.documents import content_hash, read_json, write_json
 from racerl.errors import ConfigError
 from racerl.gap.calibration import Case, calibrate, checked, compared, truth_of
 from racerl.gap.diagnose import NAME, VERDICT, gap
@@ -66,8 +65,12 @@ class Gap:
                 cases.append(_case(rows[-1]["truth"], read_json(out / NAME)["rounds"]))
                 groups.append(f"{key.get('tyre')}, {key.get('slip')}")
         if self.calibration:
-            told = hashlib.sha256((folder / "keys.json").read_bytes()).hexdigest()
-            source = {"keys_sha256": told, "vehicle": self.vehicle, "threads": threads, **provenance()}
+            source = {
+                "keys_sha256": content_hash(folder / "keys.json"),
+                "vehicle": self.vehicle,
+                "threads": threads,
+                **provenance(),
+            }
             write_json(Path(self.calibration), {"source": source, **calibration(cases, groups)})
         return {
             "gap": {

@@ -173,10 +173,13 @@ def _read_csv(path: Path, content: bytes) -> pd.DataFrame:
         raise LogError(f"{path}: its first line is no header; at most {MAX_COLUMNS} columns are read")
     if b"\0" in content:
         raise LogError(f"{path}: holds zero bytes, so it is no text; is it another kind of file, or damaged?")
-    _require_commas(path, content, header)
     with warnings.catch_warnings():
         warnings.simplefilter("error", pd.errors.ParserWarning)
-        table = pd.read_csv(io.BytesIO(content), index_col=False, low_memory=False, skipinitialspace=True)
+        try:
+            _require_commas(path, header.decode("utf-8-sig"))
+            table = pd.read_csv(io.BytesIO(content), index_col=False, low_memory=False, skipinitialspace=True)
+        except UnicodeDecodeError as error:
+            raise LogError(f"{path}: is no UTF-8 text (byte {_unread(content, error)}); save it as UTF-8") from error
     return _limited(path, table)
 
 
@@ -190,28 +193,35 @@ def _read_parquet(path: Path) -> pd.DataFrame:
         return _limited(path, as_frame(file.read(use_threads=False)))
 
 
-def _require_commas(path: Path, content: bytes, header: bytes) -> None:
-    """Raise LogError for text that is not UTF-8, other separators, and a column that is there twice."""
+def _require_commas(path: Path, header: str) -> None:
+    """Raise LogError for other separators, and a column that is there twice, which would be renamed in silence."""
+    if "," not in header and (other := next((sign for sign in ";\t" if sign in header), None)):
+        sign = "';'" if other == ";" else "tabs"
+        raise LogError(f"{path}: its columns are parted by {sign}; write commas between them, and points in numbers")
+    cells = next(csv.reader([header], skipinitialspace=True), [])
+    _require_once(path, [cell.strip() for cell in cells if cell.strip()])  # those without a name get one
+
+
+def _require_once(path: Path, columns: Iterable[str]) -> None:
+    """Raise LogError for a column that is there twice."""
+    if doubled := [name for name, count in Counter(columns).items() if count > 1]:
+        raise LogError(f"{path}: has the column '{doubled[0]}' twice; rename one")
+
+
+def _unread(content: bytes, error: UnicodeDecodeError) -> int:
+    """Return the first byte of a file that is no UTF-8; the error may count from a part of it."""
     try:
         content.decode()
-    except UnicodeDecodeError as error:
-        raise LogError(f"{path}: is no UTF-8 text (byte {error.start}); save it as UTF-8") from None
-    if b"," not in header and (other := next((sign for sign in (b";", b"\t") if sign in header), None)):
-        sign = "';'" if other == b";" else "tabs"
-        raise LogError(f"{path}: its columns are parted by {sign}; write commas between them, and points in numbers")
-    cells = next(csv.reader([header.decode().lstrip("\ufeff")], skipinitialspace=True), [])
-    names = Counter(name.strip() for name in cells)
-    if doubled := [name for name, count in names.items() if count > 1 and name]:
-        raise LogError(f"{path}: has the column '{doubled[0]}' twice; rename one")
+    except UnicodeDecodeError as whole:
+        return whole.start
+    return error.start
 
 
 def _limited(path: Path, table: pd.DataFrame) -> pd.DataFrame:
     if not 2 <= len(table) <= MAX_ROWS:
         raise LogError(f"{path}: holds {len(table)} rows; allowed are 2 … {MAX_ROWS}")
     table.columns = [str(column).strip() for column in table.columns]
-    doubled = table.columns[table.columns.duplicated()]
-    if len(doubled):
-        raise LogError(f"{path}: has the column '{doubled[0]}' twice; rename one")
+    _require_once(path, table.columns)
     return table
 
 

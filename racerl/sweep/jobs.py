@@ -7,7 +7,6 @@ Arms whose words name a controller=, a driver's drive= or a drive to be scored, 
 seeds, in the world (vehicle, track, …) of the others.
 """
 
-import hashlib
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -16,6 +15,7 @@ from typing import Any
 
 from racerl.assemble import files_read
 from racerl.control.policy import FACTS, UNREFINED, improved_by, load_policy
+from racerl.documents import content_hash
 from racerl.errors import RacerlError
 from racerl.run import Compose, RunFolder, config_hash, is_complete
 from racerl.sweep.definition import Sweep
@@ -186,12 +186,13 @@ def begun_alike(job: Job) -> Path | None:
     """Return another job's training that begins as this one does and is through with that; None where there is none."""
     if job.train is None or not improved_by(job.train["budget"]):
         return None
+    files, begins = files_read(job.train), beginning(job.train)
     for facts in sorted(job.path.parent.glob(f"*/{job.trained.name}/{UNREFINED}/{FACTS}")):
         run = facts.parents[1]
         with suppress(OSError, RacerlError, KeyError, TypeError, AttributeError):  # damaged
             folder = RunFolder.open(run, "train")
-            same = folder.manifest.get("files") == files_read(job.train)  # by content
-            if same and run != job.trained and beginning(folder.settings()) == beginning(job.train):
+            same = folder.manifest.get("files") == files  # by content
+            if same and run != job.trained and beginning(folder.settings()) == begins:
                 load_policy(run / UNREFINED)
                 return run
     return None
@@ -199,4 +200,4 @@ def begun_alike(job: Job) -> Path | None:
 
 def _contents(paths: Sequence[Path]) -> list[str]:
     """Return hashes of the files that are there, so that another content makes another job."""
-    return [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths if path.is_file()]
+    return [content_hash(path) for path in paths if path.is_file()]

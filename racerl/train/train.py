@@ -112,14 +112,14 @@ def _improved(
         if begun and not (before / FACTS).is_file():
             _take_over(begun, session.out)
         facts = read_json(before / FACTS)
-        learned, session.best, began = facts["learned"], facts["evaluation"], facts["seconds"]
+        done, session.best, began = facts["learned"], facts["evaluation"], facts["seconds"]
         session.earlier_seconds = began
     else:
-        learned, began = algorithm.train(session), session.seconds
+        done, began = algorithm.train(session), session.seconds
         if session.logger.name_to_value:
-            session.logger.dump(learned["steps"])
-        save_policy(load_policy(session.out), before, evaluation=session.best, learned=learned, seconds=began)
-    return learned | improve(session, improvement, load_policy(before, session.device), learned["steps"], began)
+            session.logger.dump(done["steps"])
+        save_policy(load_policy(session.out), before, evaluation=session.best, learned=done, seconds=began)
+    return done | improve(session, improvement, load_policy(before, session.device), done["steps"], began)
 
 
 def _take_over(begun: Path, out: Path) -> None:
