@@ -473,6 +473,7 @@ def _tune(settings: "Settings", out: Path) -> None:
 
 def _record(settings: "Settings", out: Path) -> None:
     from racerl.console import Bar
+    from racerl.data.log import runs_told
     from racerl.record.record import record
 
     console = _console()
@@ -482,7 +483,7 @@ def _record(settings: "Settings", out: Path) -> None:
     log = out / settings["file"]
     _print_lines(
         console,
-        f"{facts['rows']:,} rows in {facts['runs']} runs in {log}: "
+        f"{facts['rows']:,} rows in {runs_told(facts['runs'])} in {log}: "
         f"up to {facts['speed_max']:.1f} m/s, "
         f"slip angles {facts['alpha_f_low']:.2f} … {facts['alpha_f_high']:.2f} rad in front and "
         f"{facts['alpha_r_low']:.2f} … {facts['alpha_r_high']:.2f} rad at the rear, "
@@ -553,8 +554,12 @@ def _gap(words: Sequence[str], settings: "Settings", out: Path) -> None:
         facts = gap(settings, out, lambda what, share: bar.show(share, what))
     page = draw_gap(out)
     _print_verdict(console, facts)
-    undecided = facts["verdict"] in ("ambiguous", "under_excited")
-    following = _following("racerl gap plan LOG" if undecided else "racerl train vehicle=MODEL", words, out / MODEL)
+    following = "racerl train vehicle=MODEL"
+    if facts["contradictions"]:  # columns are mended first
+        following = "racerl data LOG"
+    elif facts["verdict"] in ("ambiguous", "under_excited"):
+        following = "racerl gap plan LOG"
+    following = _following(following, words, out / MODEL)
     _print_lines(console, f"vehicle in {out / MODEL}, report in {page}", f"next: {following}")
 
 
@@ -866,7 +871,10 @@ def _data(words: Sequence[str], settings: "Settings", out: Path) -> None:
         _print_log(console, log)
     for warning in facts["warnings"]:
         console.print(f"warning: {warning}", highlight=False, soft_wrap=True)
-    _print_lines(console, f"report in {draw_logs(out)}", f"next: {_following('racerl identify LOG', words, out)}")
+    following = _following("racerl identify LOG", words, out)
+    if any(log["contradictions"] for log in facts["logs"]):
+        following = f"mend the columns that contradict each other (data.channels), then {following}"
+    _print_lines(console, f"report in {draw_logs(out)}", f"next: {following}")
 
 
 def _print_topics(console: Any, bag: "UnmappedBag") -> None:
@@ -883,7 +891,9 @@ def _print_topics(console: Any, bag: "UnmappedBag") -> None:
 def _print_log(console: Any, log: dict[str, Any]) -> None:
     from rich.table import Table
 
-    title = f"{log['name']}: {log['seconds']:.1f} s in {len(log['runs'])} runs at {log['rate_hz']:g} Hz"
+    from racerl.data.log import runs_told
+
+    title = f"{log['name']}: {log['seconds']:.1f} s in {runs_told(len(log['runs']))} at {log['rate_hz']:g} Hz"
     table = Table("channel", "unit", "least", "greatest", "noise", "new per s", title=title)
     for name, channel in log["channels"].items():
         noise = "–" if channel["noise"] is None else f"{channel['noise']:.2g}"

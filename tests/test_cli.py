@@ -52,7 +52,7 @@ def test_report_compare(tmp_path, run):
 
 def test_record(tmp_path, run):
     done = run("record", "drive=race", "seconds=2", "out=drive")
-    assert done.returncode == 0 and "200 rows in 1 runs in drive/log.parquet" in done.stdout, done.stderr
+    assert done.returncode == 0 and "200 rows in 1 run in drive/log.parquet" in done.stdout, done.stderr
     assert {path.name for path in (tmp_path / "drive").iterdir()} >= {"log.parquet", "vehicle.yaml", "manifest.json"}
 
 

@@ -12,7 +12,7 @@ A lag is positive when the car answers later than the channel. Every warning is 
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -50,6 +50,7 @@ RECKONED = (
     "the pose is reckoned from wheel and steering command: it shows no slip, has no v_y of its own and holds nothing "
     "of the tyres; record a measured one, by motion capture or a particle filter at 40 Hz or more"
 )
+ANGLES, SPEEDS = {"deg": 180 / math.pi}, {"km/h": 3.6, "mm": 1000.0}  # other units, and factors of ours to them
 GAIN = 0.02  # by which a shift must raise the explained share to be believed
 
 
@@ -58,6 +59,7 @@ def inspect(log: Log, wheelbase: float = 0.33) -> dict[str, Any]:
     lags, compared = _lags(log, wheelbase), compare_with_poses(log)
     if compared and compared.lag:
         lags["yaw to yaw_rate"] = compared.lag
+    contradictions = list(_contradictions(compared)) if compared else []
     return {
         "name": log.name,
         "rows": len(log.table),
@@ -70,13 +72,15 @@ def inspect(log: Log, wheelbase: float = 0.33) -> dict[str, Any]:
         "gaps": _gaps(log),
         "coverage": coverage(log),
         "lags": {name: lag._asdict() for name, lag in lags.items()},
+        "contradictions": contradictions,  # these are warnings, too
         "warnings": [
             *_constant(log),
             *_held(log),
             *_clipped(log),
             *_signs_and_units(log, wheelbase),
             *([RECKONED] if log.reckoned else []),
-            *(_against_poses(compared) if compared else []),
+            *contradictions,
+            *(_apart(compared) if compared else []),
             *_lag_warnings(lags),
             *_doubled(log),
         ],
@@ -421,8 +425,9 @@ def _signs_and_units(log: Log, wheelbase: float) -> Iterator[str]:
             size = float(np.sum(kinematic[gentle] * r[gentle]) / max(np.sum(kinematic[gentle] ** 2), 1e-12))
             if correlation > 0.4 and gentle.sum() >= ENOUGH and not 0.25 < size < 2.5:
                 yield (
-                    f"yaw_rate is {size:.3g} times v_x tan({name})/wheelbase in gentle curves: {_factor(size)}"
-                    f"; check the units and data.vehicle.wheelbase = {wheelbase:g} m"
+                    f"yaw_rate is {size:.3g} times v_x tan({name})/wheelbase in gentle curves: "
+                    f"{_factor(size, 'yaw_rate', name, ANGLES)} "
+                    f"Check the units and data.vehicle.wheelbase = {wheelbase:g} m"
                 )
     yield from _wheel_unit(log, moving)
 
@@ -441,36 +446,42 @@ def _wheel_unit(log: Log, moving: NDArray[np.bool_]) -> Iterator[str]:
             yield f"{name} has the opposite sign of v_x (ratio {ratio:.2f}); turn the sign of its scale"
         elif not 0.7 < ratio < 1.45:
             # another unit is the same at every speed, a limit is not; one command alone cannot tell them apart
+            unit = _factor(ratio, name, "v_x", SPEEDS)
             limited = name == "omega_ref" and ratio > 1.0 and np.percentile(wheel, 95) < 1.1 * np.percentile(wheel, 5)
-            cause = f"the car is limited, or {_factor(ratio)}" if limited else _factor(ratio)
-            yield f"{name} is {ratio:.3g} times v_x on straights: {cause}; its unit must be m/s at the tyre"
+            cause = f"the car is limited, or {unit}" if limited else unit
+            yield f"{name} is {ratio:.3g} times v_x on straights: {cause} Its unit must be m/s at the tyre"
 
 
-def _factor(ratio: float) -> str:
-    """Return what a factor may come from."""
-    known = {
-        "deg for rad": np.pi / 180,
-        "rad for deg": 180 / np.pi,
-        "km/h for m/s": 3.6,
-        "m/s for km/h": 1 / 3.6,
-        "mm for m": 1000.0,
-        "m for mm": 0.001,
-    }
-    for name, factor in known.items():
-        if abs(np.log(abs(ratio) / factor)) < 0.15 if ratio else False:
-            return name
+def _factor(ratio: float, one: str, other: str, units: Mapping[str, float]) -> str:
+    """Return what a factor of one channel over another may come from."""
+    for unit, factor in units.items():
+        for name, expected in ((one, factor), (other, 1 / factor)):
+            if ratio and abs(math.log(abs(ratio) / expected)) < 0.15:
+                return f"{name} in {unit}?"
     return "rad/s of a small wheel?" if 8.0 < ratio < 50.0 else "rpm?" if ratio >= 50.0 else "another unit or scale?"
 
 
-def _against_poses(compared: Comparison) -> Iterator[str]:
-    """Velocities that were not made from the poses must agree with them, apart from the lag."""
-    for name, correlation, factor in differences(compared):
+def _contradictions(compared: Comparison) -> Iterator[str]:
+    """Velocities that were not made from the poses must agree with them; where yaw is in deg, none can."""
+    found = [(name, correlation, *_as_unit(name, factor)) for name, correlation, factor in differences(compared)]
+    degrees = [row for row in found if row[3] == "yaw in deg?"]
+    for name, correlation, factor, cause in degrees or found:
         if correlation < -0.5:
             yield f"{name} has the opposite sign of the differentiated pose (correlation {correlation:.2f})"
         elif correlation > 0.7 and not 0.6 < factor < 1.6:
-            yield f"{name} is {factor:.3g} times the differentiated pose: {_factor(factor)}"
+            yield f"{name} is {factor:.3g} times the differentiated pose: {cause}"
         elif correlation < 0.5:
             yield f"{name} does not follow the differentiated pose (correlation {correlation:.2f}); axes turned?"
+
+
+def _as_unit(name: str, factor: float) -> tuple[float, str]:
+    """Return a velocity's size beside the differentiated pose, and what it may come from."""
+    pose, units = ("yaw", ANGLES) if name == "yaw_rate" else ("x and y", SPEEDS)
+    return factor, _factor(factor, name, pose, units)
+
+
+def _apart(compared: Comparison) -> Iterator[str]:
+    """Yield how velocities are of another point or another time than the poses beside them."""
     if compared.offset:
         place = f"{abs(compared.offset):.2f} m {'ahead of' if compared.offset > 0 else 'behind'}"
         yield f"v_y belongs to a point {place} the one x and y track; see data.frame.forward"

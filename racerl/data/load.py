@@ -8,6 +8,7 @@ Files may come from anybody: sizes are limited before anything is read, and ever
 """
 
 import csv
+import difflib
 import gzip
 import io
 import itertools
@@ -30,7 +31,7 @@ from racerl.data.agreement import DIFFERENTIATED, contradiction
 from racerl.data.bag import Stream, is_bag, open_bag
 from racerl.data.differentiate import velocities
 from racerl.data.layout import Layout, Source, read_layout
-from racerl.data.log import CHANNELS, POSE, VELOCITY, Log, sample_time
+from racerl.data.log import CHANNELS, LABEL, POSE, VELOCITY, Log, sample_time
 from racerl.data.topics import suited
 from racerl.documents import as_frame, conf_folder, read_yaml, require_content
 from racerl.errors import DocumentError, LogError, RacerlError, suggest
@@ -51,6 +52,7 @@ SAME = 1e-6  # s within which two stamps are one; clock times are known to 2e-7 
 # and a multiple of what is usual in the log, allow
 SPIKES = {"x": (100.0, 0.005), "y": (100.0, 0.005), "yaw": (500.0, 0.01)}  # m/s², m; rad/s², rad
 USUAL = 20.0
+TOLD, WIDEST = 8, 40  # columns that are not read, by name; characters of one
 LEAP = 100.0  # m/s between two samples of a pose that no small car does
 
 Array = NDArray[np.float64]
@@ -256,6 +258,8 @@ def _named(path: Path, table: pd.DataFrame, layout: Layout) -> tuple[pd.DataFram
     if not found:
         raise LogError(f"{path}: has none of the columns that its mapping names{_likely(have)}")
     remarks = [f"no column for {name}: untestable" for name in chosen if name not in found]
+    if not layout.channels:
+        remarks += _passed_over(have, layout)
     found = {name: found[name] for name in _counting(found, layout)}
     keep = np.ones(len(table), dtype=bool)
     for column, value in layout.require.items():
@@ -274,6 +278,20 @@ def _named(path: Path, table: pd.DataFrame, layout: Layout) -> tuple[pd.DataFram
     for name, source in found.items():
         named[name] = source.convert(_numeric(path, rows[source.column]))
     return pd.DataFrame(named), tuple(remarks)
+
+
+def _passed_over(have: Sequence[str], layout: Layout) -> Iterator[str]:
+    """Say which columns carry no channel's name, where that may be why a channel is missing."""
+    plain = {name.replace("_", ""): name for name in CHANNELS if name not in have}
+    told = []
+    for name in have:
+        if name not in {*CHANNELS, *layout.require, layout.time.column, layout.run, LABEL}:
+            near = difflib.get_close_matches(re.sub(r"[\W_]", "", name.lower()), plain, n=1, cutoff=0.75)
+            short = " ".join(name.split())[:WIDEST]
+            told.append(f"{short} ({plain[near[0]]}?)" if near else short)
+    if told and plain:
+        more = f" and {len(told) - TOLD} more" if len(told) > TOLD else ""
+        yield f"columns that no channel is called after are not read: {', '.join(told[:TOLD])}{more}"
 
 
 def _counting(channels: Iterable[str], layout: Layout) -> list[str]:

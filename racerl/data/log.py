@@ -37,6 +37,7 @@ CHANNELS = {
     "current": Channel("A", "motor current", 1000.0),
 }
 POSE, VELOCITY = ("x", "y", "yaw"), ("v_x", "v_y", "yaw_rate")
+LABEL = "manoeuvre"  # column of a recorded log: what was driven
 JITTER = 0.2  # of the sample time by which a step may differ within a run
 
 
@@ -189,3 +190,8 @@ def separate(logs: Sequence[Log]) -> tuple[list[Log], list[str]]:
         if len(log.table):
             kept.append(log)
     return kept, lines
+
+
+def runs_told(number: int) -> str:
+    """Return how many runs there are, as a sentence has it."""
+    return "1 run" if number == 1 else f"{number} runs"

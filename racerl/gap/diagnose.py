@@ -66,11 +66,11 @@ def gap(settings: Mapping[str, Any], out: Path, on_progress: OnProgress = silent
     folder = RunFolder.start(out, "gap", settings, seed=settings["seed"], threads=settings["threads"])
     on_progress("refitting the vehicle", 0.0)
     evidence = cut(logs, settings)
+    inspected = [inspect(log, float(vehicle.wheelbase)) for log in logs]
     told: dict[str, Any] = {
         "logs": [log.facts() for log in logs],
-        "remarks": [
-            f"{log.name}: {line}" for log in logs for line in inspect(log, float(vehicle.wheelbase))["warnings"]
-        ],
+        "remarks": [f"{each['name']}: {line}" for each in inspected for line in each["warnings"]],
+        "contradictions": [f"{each['name']}: {line}" for each in inspected for line in each["contradictions"]],
         "untestable": _untestable(evidence, channels_of(logs)),
     }
     if not evidence:

@@ -6,6 +6,7 @@ from typing import Any
 
 import yaml
 
+from racerl.data.log import runs_told
 from racerl.documents import write_text
 from racerl.vehicle.load import vehicle_document
 
@@ -34,7 +35,7 @@ def write_model(
 
 
 def _provenance(facts: Mapping[str, Any], command: str) -> list[str]:
-    logs = ", ".join(f"{log['name']} ({log['seconds']:.0f} s, {log['runs']} runs)" for log in facts["logs"])
+    logs = ", ".join(f"{log['name']} ({log['seconds']:.0f} s, {runs_told(log['runs'])})" for log in facts["logs"])
     lines = [f"Identified by racerl {command} from {logs}."]
     if facts.get("rmse"):
         last = facts["rmse"][str(facts["horizon"])]

@@ -63,8 +63,8 @@ def identify(
     logs, warnings = separate(load_measured(settings))
     logs = [aligned(log, configured) for log in logs]
     warnings += compare(logs)
-    for log in logs:
-        warnings += [f"{log.name}: {warning}" for warning in inspect(log, float(configured.wheelbase))["warnings"]]
+    inspected = [inspect(log, float(configured.wheelbase)) for log in logs]
+    warnings += [f"{each['name']}: {warning}" for each in inspected for warning in each["warnings"]]
     wiring = choose_wiring(logs, settings["inputs"])
     vehicle = wiring.driven(configured)
     unknowns = _unknowns(settings, vehicle, configured, wiring) if settings["fit"] else None
@@ -81,6 +81,7 @@ def identify(
         "logs": [log.facts() for log in logs],
         "inputs": {"steering": wiring.steering, "drive": wiring.drive},
         "warnings": warnings,
+        "contradictions": [f"{each['name']}: {line}" for each in inspected for line in each["contradictions"]],
         "horizon": settings["window"],
         "slips_covered": slips_covered(vehicle, scored.states()),
     }

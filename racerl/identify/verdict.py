@@ -6,6 +6,7 @@ from typing import Any
 
 GROWN = 1.02  # factor of an error, beyond which it has grown
 IDENTIFY, GAP, TRAIN = "racerl identify LOG", "racerl gap LOG", "racerl train vehicle=MODEL"
+DATA = "racerl data LOG"  # where columns are mended
 PLAN = "racerl gap plan LOG"  # what to drive
 
 
@@ -40,6 +41,7 @@ def judge(facts: Mapping[str, Any]) -> dict[str, Any]:
     short = facts.get("held_out", "").removeprefix("nothing")
     # what is said first matters most
     reasons = (
+        (facts["contradictions"], f"what was measured contradicts itself: {'; '.join(facts['contradictions'])}", DATA),
         (fitted and not facts["rmse"], f"no run was held out{short}", PLAN if short else IDENTIFY),
         (diverged, f"rollouts of {', '.join(diverged)} diverge", GAP if fitted else IDENTIFY),
         (worse, f"errors in runs held out grew: {', '.join(worse)}", GAP),

@@ -17,6 +17,7 @@ import pandas as pd
 from racerl import bounds
 from racerl.assemble import Car, build_track
 from racerl.data.differentiate import velocities
+from racerl.data.log import LABEL
 from racerl.documents import write_bytes, write_yaml
 from racerl.errors import ConfigError
 from racerl.record.bag import encode_bag
@@ -138,7 +139,7 @@ def table(recording: Recording, window: int, order: int) -> pd.DataFrame:
         "omega": omega,
         "delta_ref": delta_ref,
         **drive,
-        "manoeuvre": pd.Categorical(recording.doing),
+        LABEL: pd.Categorical(recording.doing),
     }
     return pd.DataFrame(columns)
 

@@ -107,11 +107,12 @@ TRAPS = {
     "yaw rate sign": (lambda t: t.assign(yaw_rate=-t["yaw_rate"]), "yaw_rate has the opposite sign"),
     "wheel sign": (lambda t: t.assign(omega=-t["omega"]), "omega has the opposite sign of v_x"),
     "wheel in rad/s": (lambda t: t.assign(omega=t["omega"] / 0.055), "rad/s of a small wheel"),
-    "wheel in km/h": (lambda t: t.assign(omega=t["omega"] * 3.6), "km/h for m/s"),
+    "wheel in km/h": (lambda t: t.assign(omega=t["omega"] * 3.6), "omega in km/h?"),
     "commanded speed": (lambda t: t.assign(omega_ref=t["omega_ref"] * 3.6), "omega_ref is 3.5"),
     "limited": (lambda t: t.assign(omega_ref=9.0), "the car is limited, or"),
     "steering in percent": (lambda t: t.assign(delta=t["delta"] / 10), "times v_x tan"),
-    "v_x in km/h": (lambda t: t.assign(v_x=t["v_x"] * 3.6), "v_x is 3.6"),
+    "v_x in km/h": (lambda t: t.assign(v_x=t["v_x"] * 3.6), "pose: v_x in km/h?"),
+    "x and y in mm": (lambda t: t.assign(x=1000 * t["x"], y=1000 * t["y"]), "pose: x and y in mm?"),
     "yaw rate in degrees": (
         lambda t: t.assign(yaw_rate=np.degrees(t["yaw_rate"]) / 3),
         "times the differentiated pose",
@@ -130,6 +131,13 @@ def test_each_trap_is_seen(driven, trap):
     found = warnings(spoil(driven))
     assert any(said in line for line in found), found
     assert all("\n" not in line for line in found)
+
+
+def test_a_heading_in_degrees_is_said_once_and_contradicts(driven):
+    facts = inspect(Log.from_table("drive", driven.assign(yaw=np.degrees(driven["yaw"]))))
+    assert facts["contradictions"] == [line for line in facts["warnings"] if "pose" in line]
+    assert [line.split(": ")[-1] for line in facts["contradictions"]] == ["yaw in deg?"]
+    assert inspect(Log.from_table("drive", driven))["contradictions"] == []
 
 
 def test_logs_that_share_driving_are_seen(driven):

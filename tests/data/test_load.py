@@ -45,6 +45,14 @@ def test_units_signs_and_clocks_are_converted(driven, tmp_path):
     assert len(list(log.runs())) == 3 and log.dt == 0.01 and any("t counts from" in r for r in log.remarks)
 
 
+def test_columns_that_carry_no_channels_name_are_told(driven, tmp_path):
+    said = load(save(driven.rename(columns={"yaw_rate": "YawRate", "delta_ref": "steer"}), tmp_path / "a.csv")).remarks
+    assert "columns that no channel is called after are not read: YawRate (yaw_rate?), steer" in said
+    many = {f"wheel_{k}": 0.0 for k in range(20)}
+    said = load(save(driven.assign(**many), tmp_path / "b.csv")).remarks
+    assert any(line.endswith("wheel_7 and 12 more") for line in said)
+
+
 def test_velocities_come_from_poses_where_absent(driven, tmp_path):
     log = load(save(driven.drop(columns=["v_x", "v_y", "yaw_rate"]), tmp_path / "a.csv"))
     assert any("differentiated" in remark for remark in log.remarks)

@@ -7,13 +7,13 @@ import pytest
 from racerl.identify.verdict import judge
 
 
-def facts_of(after, before=1.0, still=9.0, fitted=True, converged=True, held_out="nothing", told=9):
+def facts_of(after, before=1.0, still=9.0, fitted=True, converged=True, held_out="nothing", told=9, wrong=()):
     """What a verdict is made of: errors of one channel at one horizon."""
 
     def errors(value):
         return None if value is ... else {"85": {"v_x": value, "yaw_rate": 1.0}}
 
-    facts = {"fitted": fitted, "horizon": 85, "rmse": errors(after), "rmse_hold_last_state": errors(still)}
+    facts = {"contradictions": wrong, "fitted": fitted, "horizon": 85, "rmse": errors(after), "rmse_hold_last_state": errors(still)}
     fit = {"rmse_unfitted": errors(before), "held_out": held_out, "method": {"converged": converged}}
     fit["open"] = {"told": told}
     return facts | (fit if fitted else {})
@@ -34,6 +34,7 @@ def facts_of(after, before=1.0, still=9.0, fitted=True, converged=True, held_out
         ({"after": 0.9, "told": 0}, "tells no number of the car", "racerl gap plan LOG"),
         ({"after": 0.9, "still": 0.8}, "holding the first value errs less: v_x", "racerl gap LOG"),
         ({"after": 1.0, "still": 0.8, "fitted": False}, "errs less: v_x", "racerl identify LOG"),
+        ({"after": 0.5, "wrong": ["a.csv: yaw in deg?"]}, "contradicts itself: a.csv: yaw in deg?", "racerl data LOG"),
     ],
 )
 def test_not_usable(case, because, following):
