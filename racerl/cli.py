@@ -741,19 +741,20 @@ def _optimum(settings: "Settings", out: Path) -> None:
     with Bar(console, "optimum") as bar:
         facts = optimum(settings, out, bar.show)
     held = facts["held"]
-    console.print(
+    lines = [
         f"{facts['time_s']:.3f} s with free commands, {held['time_s']:.3f} s with commands held for "
-        f"{held['period_s']:.4f} s; found in {facts['seconds']:.0f} s",
-        highlight=False,
-    )
+        f"{held['period_s']:.4f} s; found in {facts['seconds']:.0f} s"
+    ]
     if len(facts["ways"]) > 1:
         told = [f"{way['time_s']:.3f} s with up to {math.degrees(way['sideslip_rad']):.0f}°" for way in facts["ways"]]
-        line = f"this car has {len(told)} ways round, each faster than all near it: {', '.join(told)} of side slip"
-        console.print(line, highlight=False, soft_wrap=True)
+        lines.append(
+            f"this car has {len(told)} ways round, each faster than all near it: {', '.join(told)} of side slip"
+        )
     if held["time_s"] < (1 - DISTINCT) * facts["time_s"]:
-        line = "held commands led to another, faster way round: the free commands' time is no bound here"
-        console.print(f"warning: {line}", highlight=False, soft_wrap=True)
-    console.print(f"raceline in {out / RACELINE}", highlight=False, soft_wrap=True)
+        lines.append(
+            "warning: held commands led to another, faster way round: the free commands' time is no bound here"
+        )
+    _print_lines(console, *lines, f"raceline in {out / RACELINE}")
 
 
 def _print_identification(console: Any, facts: dict[str, Any]) -> None:

@@ -254,8 +254,11 @@ def _rewrite_override(word: str, groups: set[str], filed: Collection[str]) -> It
     if key in ("out", "from") and not value.startswith(("'", '"')):
         yield f"{key}={quote(value)}"  # a path may hold what Hydra's grammar has for itself: commas, brackets, umlauts
         return
-    if group in groups and value == "null":
-        raise ConfigError(f"{word}: a choice of conf/{group} is expected; leave the word out for the usual one")
+    if group in groups and (value == "null" or value.startswith("{")):
+        told = f"leave the word out for the usual one; single keys are {group}.KEY=…"
+        raise ConfigError(f"{word}: a choice of conf/{group} is expected; {told}")
+    if group in FILE_GROUPS and group in groups:
+        _require_no_folder(group, value)
     if group == "dr" and value.startswith(POSTERIOR):
         run = value.removeprefix(POSTERIOR)
         _require_cars(run)
@@ -310,6 +313,15 @@ def _require_file(group: str, value: str) -> None:
             f"{group} = {value}: no such file in {Path.cwd()}; give the path of one, or a name: "
             f"{', '.join(choices(group))}"
         )
+
+
+def _require_no_folder(group: str, value: str) -> None:
+    """Raise ConfigError where a group is given a folder: files in it are what it may be."""
+    if value and value not in choices(group) and _there(value, Path.is_dir):
+        endings = FILE_GROUPS[group]
+        found = sorted(path for path in Path(value).iterdir() if path.name.lower().endswith(endings))
+        cure = f"give a file in it, as {group}={found[0]}" if found else f"a file ends with {' or '.join(endings)}"
+        raise ConfigError(f"{group} = {value}: is a folder; {cure}")
 
 
 def _require_cars(run: str) -> None:
@@ -456,6 +468,8 @@ def _translate(command: str, error: Exception) -> ConfigError:
         if re.fullmatch(r"[-+]?\d+,\d+", several[2]):
             cure += f", and a decimal has a point, {several[2].replace(',', '.')}"
         return ConfigError(f"{several[1]} = {several[2]}: {cure}")
+    if merged := re.fullmatch(r"Error merging override \+*([^=]+)\.([^.=]+)=.*", text):
+        return ConfigError(f"unknown key '{merged[1]}.{merged[2]}': {merged[1]} has no keys; give it as a whole")
     key = re.search(
         r"(?:Could not override|Could not delete from config|Could not append to config)[^']*'([^']+)'", text
     )

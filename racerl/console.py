@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Sequence
+from contextlib import ExitStack
 from types import TracebackType
 from typing import TYPE_CHECKING
 
@@ -40,18 +41,17 @@ class Bar:
             disable=not console.is_terminal,
         )
         self._task = self._progress.add_task(title, total=1.0, remark="")
-        self._compiling = telling(lambda: self._progress.update(self._task, remark=COMPILING))
+        self._shown = ExitStack()
 
     def __enter__(self) -> "Bar":
-        self._progress.start()
-        self._compiling.__enter__()
+        self._shown.enter_context(self._progress)
+        self._shown.enter_context(telling(lambda: self._progress.update(self._task, remark=COMPILING)))
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._compiling.__exit__(kind, error, trace)
-        self._progress.stop()
+        self._shown.__exit__(kind, error, trace)
 
     def begin(self, title: str) -> None:
         """Begin anew with the next part of the work."""

@@ -198,13 +198,21 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 class _InertLoader(yaml.SafeLoader):
-    """SafeLoader without aliases; also reads 1e-3 as a number, as YAML 1.2 does."""
+    """SafeLoader without aliases and doubled keys; also reads 1e-3 as a number, as YAML 1.2 does."""
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         if self.check_event(yaml.events.AliasEvent):
             event = self.peek_event()
             raise yaml.constructor.ConstructorError(None, None, "aliases are not allowed", event.start_mark)
         return super().compose_node(parent, index)
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+        seen = set()
+        for key in (key for key, _ in node.value if isinstance(key, yaml.ScalarNode)):
+            if key.value in seen:
+                raise yaml.constructor.ConstructorError(None, None, f"'{key.value}' is there twice", key.start_mark)
+            seen.add(key.value)
+        return super().construct_mapping(node, deep)
 
 
 def _construct_float_like(loader: yaml.SafeLoader, node: Any) -> Any:

@@ -69,6 +69,7 @@ def test_yaml_comes_back(tmp_path):
         ("a: !!python/object/apply:os.system [ls]", "not valid YAML"),
         ("- 1", "mapping"),
         ("a: b: c", "not valid YAML"),
+        ("a: 1\nb: {c: 2, d: 3, c: 4}", "'c' is there twice in .*, line 2, column 17"),
         ("{" * 3000, "not valid YAML"),
         ("a: 1\n" + "#" * 2**20, "bytes"),
     ],

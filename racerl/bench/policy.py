@@ -7,13 +7,14 @@ Stable-Baselines3's `predict`.
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from racerl.assemble import build_race, use_threads
 from racerl.bench import Compose, Progress
 from racerl.control.onboard import OnboardPolicy
+from racerl.control.policy import Policy as Feedforward
 from racerl.errors import ConfigError
 from racerl.train.ppo import Budget, RacePPO, actor_of
 from racerl.train.session import policy_of
@@ -46,7 +47,7 @@ class Policy:
         race = build_race(settings, cars=1, seeds=[0])
         budget = Budget.of({**settings["budget"], "cars": 1})
         model = RacePPO(race, budget, seed=0)
-        policy: Any = policy_of(actor_of(model), race, settings)
+        policy = cast(Feedforward, policy_of(actor_of(model), race, settings))
         onboard = OnboardPolicy(policy)
         observation = race.observe()
         single = observation[0].numpy()

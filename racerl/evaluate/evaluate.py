@@ -16,7 +16,7 @@ from racerl.control.policy import FACTS, UNREFINED, improved_by, load_policy
 from racerl.documents import read_json
 from racerl.env.race import Race
 from racerl.env.randomize import Randomization
-from racerl.env.termination import Crash
+from racerl.env.termination import CRASH_DISTANCE, Crash
 from racerl.errors import ConfigError, PolicyError
 from racerl.evaluate.against import drive_against_floor
 from racerl.evaluate.drive import Recorder
@@ -29,6 +29,7 @@ from racerl.run import MANIFEST, RunFolder
 
 log = logging.getLogger(__name__)
 
+ELSEWHERE = 0.5  # share of a drive off the track, beyond which it was on another
 REFINED = {"": "", "refinement": " refined by evolution", "ascent": " refined"}
 # in another world than it was learned in
 ONWARD = {"refinement": ", refined on by evolution", "ascent": ", refined on"}
@@ -119,6 +120,9 @@ def _evaluate_log(settings: Mapping[str, Any], out: Path) -> dict[str, Any]:
     track, logs = read_recorded(settings)
     folder = RunFolder.start(out, "evaluate", settings)
     driven, drive = follow(track, logs)
+    if (away := float((drive["margin"] < -CRASH_DISTANCE).mean())) > ELSEWHERE:
+        told = "%s is off the track %s in %.0f %% of its samples: is it another track, or another origin of the poses?"
+        log.warning(told, settings["run"], track.name, 100 * away)
     cars = range(1 + max((lap.car for lap in driven), default=0))
     label = logs[0].name if str(settings["run"]).startswith(PAPER) else f"log {logs[0].name}"
     metrics = write_outcome(folder, driven, cars, drive, track, label=label, car="recorded", controller="recorded")

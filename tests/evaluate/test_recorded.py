@@ -69,6 +69,15 @@ def test_a_log_stands_in_the_report_beside_policies(raced, smoke_evaluation, tmp
     assert "log poses.csv.gz" in page and "recorded" in page
 
 
+def test_a_drive_beside_its_track_is_told(raced, tmp_path, caplog):
+    scored(raced[1], tmp_path / "there")
+    assert not caplog.records
+    log = pd.read_parquet(raced[1])
+    log.assign(x=log["x"] + 20.0).to_parquet(tmp_path / "away.parquet")
+    scored(tmp_path / "away.parquet", tmp_path / "away")
+    assert "is off the track l_shape in 100 % of its samples" in caplog.text
+
+
 def test_velocities_come_from_the_poses_where_they_are_missing(raced, tmp_path):
     pd.read_parquet(raced[1]).drop(columns=["v_x", "v_y", "yaw_rate"]).to_parquet(tmp_path / "poses.parquet")
     metrics = scored(tmp_path / "poses.parquet", tmp_path / "out")

@@ -13,7 +13,13 @@ def facts_of(after, before=1.0, still=9.0, fitted=True, converged=True, held_out
     def errors(value):
         return None if value is ... else {"85": {"v_x": value, "yaw_rate": 1.0}}
 
-    facts = {"contradictions": wrong, "fitted": fitted, "horizon": 85, "rmse": errors(after), "rmse_hold_last_state": errors(still)}
+    facts = {
+        "contradictions": wrong,
+        "fitted": fitted,
+        "horizon": 85,
+        "rmse": errors(after),
+        "rmse_hold_last_state": errors(still),
+    }
     fit = {"rmse_unfitted": errors(before), "held_out": held_out, "method": {"converged": converged}}
     fit["open"] = {"told": told}
     return facts | (fit if fitted else {})
