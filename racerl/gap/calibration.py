@@ -1,5 +1,6 @@
 """Fitting the rule of `hypotheses` to diagnoses of simulated cars whose effects are known."""
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
@@ -10,6 +11,7 @@ from scipy.optimize import minimize
 from racerl.gap.hypotheses import (
     CANDIDATE,
     LEFT,
+    LEVEL,
     STOP,
     UNLISTED,
     Hypothesis,
@@ -24,7 +26,7 @@ from racerl.gap.hypotheses import (
 
 Array = NDArray[np.float64]
 WIDE = 3.0  # deviation of the weights' priors
-LEVEL, BINS = 0.95, 5  # of the sets of hypotheses; of probabilities
+BINS = 5  # of probabilities
 
 
 class Case(NamedTuple):
@@ -38,9 +40,9 @@ class Case(NamedTuple):
 class Check(NamedTuple):
     """How probabilities fare on cases that their rule was not fitted to.
 
-    `covered`: share of cases whose truth is in the set of hypotheses that reach LEVEL; `size`: how many it has in the
-    mean; `first`: share whose truth is the most probable; `error`: mean difference between the first's probability and
-    how often it is right, over bins of probability, weighted by their cases.
+    `covered`: share of cases whose truth is in the set of hypotheses; `size`: how many it has in the mean; `first`:
+    share whose truth is the most probable; `error`: mean difference between the first's probability and how often it is
+    right, over bins of probability, weighted by their cases; `one_…`: of the cases with one effect alone.
     """
 
     cases: int
@@ -48,6 +50,9 @@ class Check(NamedTuple):
     size: float
     first: float
     error: float
+    one_cases: int
+    one_covered: float | None
+    one_size: float | None
 
 
 class Choice(NamedTuple):
@@ -84,27 +89,52 @@ def calibrate(cases: Sequence[Case]) -> Rule:
     return Rule(w[:split], w[split:], u)
 
 
-def checked(cases: Sequence[Case], groups: Sequence[str]) -> Check:
-    """Fit to all groups of cases but one, and check the rule on that one, for each group."""
-    told, truths = [], []
+def checked(cases: Sequence[Case], groups: Sequence[str]) -> tuple[float, Check]:
+    """Fit to all groups of cases but one, and check the rule on that one, for each group.
+
+    Return how far sets of hypotheses have to reach for that, and the check of sets that do.
+    """
+    told: list[list[Hypothesis]] = []
+    truths: list[tuple[str, ...]] = []
     for group in sorted(set(groups)):
         rule = calibrate([case for case, own in zip(cases, groups, strict=True) if own != group])
         for case in (case for case, own in zip(cases, groups, strict=True) if own == group):
             told.append(hypotheses(case.rounds, rule))
             truths.append(truth_of(case))
-    return compared(told, truths)
+    reach = conformal(told, truths)
+    return reach, compared(told, truths, reach)
 
 
-def compared(told: Sequence[Sequence[Hypothesis]], truths: Sequence[tuple[str, ...]]) -> Check:
-    """Compare hypotheses, most probable first, with what was hidden."""
-    sets = [reaching(each, LEVEL) for each in told]
-    covered = [truth in [each.names for each in among] for among, truth in zip(sets, truths, strict=True)]
+def conformal(told: Sequence[Sequence[Hypothesis]], truths: Sequence[tuple[str, ...]]) -> float:
+    """Return how far sets have to reach to hold the truth in LEVEL of further cars that lack one effect.
+
+    It is the ⌈(n + 1) LEVEL⌉-th smallest of what hypotheses before the truth have together, 1 where it was not told.
+    """
+    before = sorted(_before(each, truth) for each, truth in zip(told, truths, strict=True) if _is_one(truth))
+    rank = math.ceil((len(before) + 1) * LEVEL)
+    return before[rank - 1] if rank <= len(before) else 1.0
+
+
+def _before(told: Sequence[Hypothesis], truth: tuple[str, ...]) -> float:
+    names = [each.names for each in told]
+    return sum(each.probability for each in told[: names.index(truth)]) if truth in names else 1.0
+
+
+def _is_one(truth: tuple[str, ...]) -> bool:
+    return len(truth) == 1 and truth[0] != UNLISTED
+
+
+def compared(told: Sequence[Sequence[Hypothesis]], truths: Sequence[tuple[str, ...]], reach: float) -> Check:
+    """Compare hypotheses, most probable first, and their sets with what was hidden."""
+    sets = [reaching(each, reach) for each in told]
+    covered = np.array([truth in [each.names for each in among] for among, truth in zip(sets, truths, strict=True)])
     first = np.array([each[0].names == truth for each, truth in zip(told, truths, strict=True)], float)
     p = np.array([each[0].probability for each in told])
     bins = np.minimum((p * BINS).astype(int), BINS - 1)
-    away = np.abs(np.bincount(bins, first - p, BINS)).sum() / len(p)
-    size = np.mean([len(among) for among in sets])
-    return Check(len(p), float(np.mean(covered)), float(size), float(first.mean()), float(away))
+    away = float(np.abs(np.bincount(bins, first - p, BINS)).sum() / len(p))
+    size, one = np.array([len(among) for among in sets]), np.array([_is_one(truth) for truth in truths])
+    ones = (float(each[one].mean()) if one.any() else None for each in (covered, size))
+    return Check(len(p), float(covered.mean()), float(size.mean()), float(first.mean()), away, int(one.sum()), *ones)
 
 
 def truth_of(case: Case) -> tuple[str, ...]:

@@ -23,7 +23,7 @@ from racerl.gap.checkpoint import Checkpoint
 from racerl.gap.decision import Decision
 from racerl.gap.evidence import COMMANDS, Evidence, channels_of
 from racerl.gap.fitted_model import COG, FittedModel
-from racerl.gap.hypotheses import calibrated, hypotheses
+from racerl.gap.hypotheses import Hypothesis, calibrated, calibrated_reach, hypotheses, reaching
 from racerl.gap.investigation import SHAPE, Investigation, investigate
 from racerl.gap.locate import locate
 from racerl.gap.naming import name_effects
@@ -204,10 +204,7 @@ def _steps(
         "effects": told_effects["effects"] if verdict.kind in CLAIMS else [],
         "helped": told_effects["effects"] if verdict.kind not in CLAIMS else [],
         "ambiguous_with": list(verdict.rivals),
-        "hypotheses": [
-            {"names": list(each.names), "probability": each.probability}
-            for each in hypotheses(decision.features, calibrated())
-        ],
+        "hypotheses": _told(hypotheses(decision.features, calibrated())),
         "next_manoeuvre": next_manoeuvre(verdict, missing if _one(decision, verdict) else ()),
         "ranking": told_effects["ranking"],
         "where": located["where"],
@@ -244,6 +241,15 @@ def _residual(
         "terms": list(kept[0]["weights"]),
         "vehicle": RESIDUAL_MODEL,
     }
+
+
+def _told(found: Sequence[Hypothesis]) -> list[dict[str, Any]]:
+    """Return hypotheses as they are told, and which of them are in the set that holds the truth in 95 % of cars."""
+    count = len(reaching(found, calibrated_reach()))
+    return [
+        {"names": list(each.names), "probability": each.probability, "in_set": number < count}
+        for number, each in enumerate(found)
+    ]
 
 
 def _named(

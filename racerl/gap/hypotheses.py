@@ -28,6 +28,7 @@ SMALL = 0.02  # of the noise's cost: an excess below it counts as none
 CALIBRATION = Path(__file__).with_name("calibration.json")
 LARGE = 1.0  # of the noise's cost: an excess beyond it is no tyre's, whatever its formula
 LEAST = 1.0  # squared deviation, as which an error counts at least
+LEVEL = 0.95  # share of cars that lack one effect, whose set of hypotheses holds it
 RAREST = 0.005  # probability below which a hypothesis is not told
 
 
@@ -83,10 +84,20 @@ def hypotheses(rounds: Sequence[Round], rule: Rule) -> list[Hypothesis]:
     return _told(found, unlisted)
 
 
-def reaching(told: Sequence[Hypothesis], level: float) -> list[Hypothesis]:
-    """Return the most probable hypotheses, as few as reach a probability together."""
+@cache
+def calibrated_reach() -> float:
+    """Return the probability within which the package's sets of hypotheses hold the truth as often as they should."""
+    return float(read_json(CALIBRATION)["reach"])
+
+
+def reaching(told: Sequence[Hypothesis], reach: float) -> list[Hypothesis]:
+    """Return the set of the most probable hypotheses: those before which others have a probability of `reach` at most.
+
+    Where simulated cars with one effect say how large that has to be, the set holds the truth in LEVEL of such cars
+    (split conformal prediction, Vovk et al. 2005).
+    """
     before = np.cumsum([0.0, *(each.probability for each in told)])
-    return [each for each, sum_before in zip(told, before, strict=False) if sum_before < level]
+    return [each for each, sum_before in zip(told, before, strict=False) if sum_before <= reach]
 
 
 def choice(each: Round, rule: Rule) -> Array:

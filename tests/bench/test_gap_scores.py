@@ -127,7 +127,8 @@ def test_wilson_intervals():
     assert half["ci95"][0] == pytest.approx(0.2366, abs=1e-4) and sum(half["ci95"]) == pytest.approx(1.0)
 
 
-def test_probabilities_are_scored_by_how_often_they_are_right():
+def test_probabilities_are_scored_by_how_often_they_are_right(monkeypatch):
+    monkeypatch.setattr("racerl.bench.gap.calibrated_reach", lambda: 0.9)
     damping, lag = "yaw_damping", "drive_delay"
     sure, wide = [((damping,), 0.97), ((), 0.03)], [((damping,), 0.5), ((lag,), 0.3), (("?",), 0.2)]
     rows = [
@@ -142,7 +143,9 @@ def test_probabilities_are_scored_by_how_often_they_are_right():
     assert found["cases"] == 4 and found["covered"] == 0.75 and found["first"] == 0.25
     assert found["size"] == pytest.approx((1 + 3 + 3 + 1) / 4)
     assert found["error"] == pytest.approx((abs(2 * 0.5) + abs(1.97 - 1.0)) / 4)  # two bins of five
+    assert (found["one_cases"], found["one_covered"], found["one_size"]) == (2, 1.0, 2.0)
     assert probabilities([case([], "none", kind="clean")]) == {}
+    assert probabilities([case([], "none", kind="clean", hypotheses=[((), 1.0)])])["one_covered"] is None
 
 
 def test_a_rule_is_fitted_to_what_the_rounds_of_cases_saw():
@@ -157,4 +160,4 @@ def test_a_rule_is_fitted_to_what_the_rounds_of_cases_saw():
     assert table["cases"] == {"brush, centre": 6, "dugoff, larger": 6}
     assert hypotheses(seen, Rule.of(table["weights"]))[0].names == ("yaw_damping",)
     assert hypotheses([left], Rule.of(table["weights"]))[0].names == ()
-    assert table["left_out_groups"]["cases"] == 12
+    assert table["left_out_groups"]["cases"] == 12 and table["reach"] == 1.0  # six cases do not tell 95 %

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from racerl.gap.calibration import Case, calibrate, checked, choices
+from racerl.gap.calibration import Case, calibrate, checked, choices, compared, conformal
 from racerl.gap.hypotheses import (
     CANDIDATE,
     LEFT,
@@ -101,15 +101,35 @@ def test_a_rule_is_found_again_from_what_it_led_to():
         assert right[inside].mean() == pytest.approx(p[inside].mean(), abs=0.08)
 
 
-def test_sets_reach_their_level_and_groups_are_judged_by_rules_of_others():
+def test_sets_hold_one_effect_as_often_as_they_should_in_cars_not_seen():
     told = [Hypothesis((name,), p) for name, p in (("a", 0.9), ("b", 0.06), ("c", 0.04))]
-    assert [len(reaching(told, level)) for level in (0.5, 0.9, 0.95, 0.999)] == [1, 1, 2, 3]
+    assert [len(reaching(told, reach)) for reach in (0.0, 0.89, 0.9, 0.97, 1.0)] == [1, 1, 2, 3, 3]
+    generator, levels = np.random.default_rng(0), []
+
+    def drawn_at_random(count):  # probabilities that promise too much: the truth is further down than they say
+        rows, truths = [], []
+        for p in generator.dirichlet([4.0, 1.0, 1.0, 1.0], count):
+            p = np.sort(p)[::-1]
+            rows.append([Hypothesis((name,), float(each)) for name, each in zip("abcd", p, strict=True)])
+            truths.append(("abcd"[generator.choice(4, p=np.sqrt(p) / np.sqrt(p).sum())],))
+        return rows, truths
+
+    for _ in range(40):
+        reach = conformal(*drawn_at_random(100))
+        levels.append(compared(*drawn_at_random(400), reach).one_covered)
+    assert np.mean(levels) == pytest.approx(0.95, abs=0.015)
+    rows, truths = drawn_at_random(30)
+    assert conformal(rows, [("elsewhere",), *truths[1:]]) <= 1.0 == conformal(rows[:5], [("elsewhere",), *truths[1:5]])
+    assert conformal(rows[:30], [("a", "b")] * 30) == 1.0, "of cars that lack one effect"
+
+
+def test_groups_are_judged_by_rules_of_others():
     true = rule(stop=2.0, left=(-4.0, 0.0, 0.0), constant=-1.0, errors=1.0, explained=2.0, fall=1.5, behind=-0.6)
-    found = checked(drawn(true, 300, seed=0), ["one", "two", "three"] * 100)
+    _, found = checked(drawn(true, 300, seed=0), ["one", "two", "three"] * 100)
     assert found.cases == 300 and 0.9 < found.covered <= 1.0 and found.error < 0.06
     assert 1.0 <= found.size <= 4.0 and found.first > 0.5
     lost = [Case(case.hidden, not case.unlisted, case.rounds) for case in drawn(true, 60, seed=1)]
-    mixed = checked([*drawn(true, 60, seed=0), *lost], ["right"] * 60 + ["wrong"] * 60)
+    _, mixed = checked([*drawn(true, 60, seed=0), *lost], ["right"] * 60 + ["wrong"] * 60)
     assert mixed.covered < 0.6  # what no other group had shown
 
 
