@@ -73,12 +73,14 @@ def test_every_verdict_of_a_gap_is_a_sentence(verdict, effects, rivals, changes,
         "effects": effects,
         "ambiguous_with": rivals,
         "configured": {"changes": changes, "rest": 0.0},
-        "gap": {"before": 2.2, "after": 1.0},
+        "gap": {"before": 2.2, "after": 1.0, "explained": 1.0},
         "reason": "the refitted vehicle reaches the noise",
     }
     assert headline(facts) == title
     assert opening(facts) == ([f"{lines}."] if isinstance(lines, str) else lines)
     assert opening({**facts, "gap": None})  # nothing could be driven
+    mostly = {**facts, "gap": {"before": 26.2, "after": 24.3, "explained": 0.13}}
+    assert opening(mostly)[-1].startswith("Most of the gap has no name") == bool(effects)
 
 
 def test_logs_are_told_by_their_length_and_their_traps():
