@@ -872,10 +872,13 @@ def _data(words: Sequence[str], settings: "Settings", out: Path) -> None:
         _print_log(console, log)
     for warning in facts["warnings"]:
         console.print(f"warning: {warning}", highlight=False, soft_wrap=True)
-    following = _following("racerl identify LOG", words, out)
+    lines, following = [f"report in {draw_logs(out)}"], "racerl identify LOG"
     if any(log["contradictions"] for log in facts["logs"]):
-        following = f"mend the columns that contradict each other (data.channels), then {following}"
-    _print_lines(console, f"report in {draw_logs(out)}", f"next: {following}")
+        lines.append(
+            "mend first what contradicts the poses: a mapping in conf/data gives columns their units and signs"
+        )
+        following = "racerl data LOG"
+    _print_lines(console, *lines, f"next: {_following(following, words, out)}")
 
 
 def _print_topics(console: Any, bag: "UnmappedBag") -> None:

@@ -11,6 +11,7 @@ import sys
 import time
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 import racerl
@@ -387,13 +388,17 @@ def test_commands_of_two_words_have_help_of_their_own(run):
 
 def test_the_next_command_can_be_run(run, tmp_path):
     """What record, data and evaluate end with is one command, quoted as a shell needs it."""
-    done = run("record", "drive=race", "seconds=2", "out=my drive", "vehicle=published")
+    done = run("record", "drive=race", "seconds=8", "out=my drive", "vehicle=published")
     command = done.stdout.splitlines()[-1].removeprefix("next: ")
     assert shlex.split(command) == ["racerl", "data", "my drive/log.parquet"]
     done = run(*shlex.split(command)[1:], "data.gap=0.2", "out=seen")
     command = done.stdout.splitlines()[-1].removeprefix("next: ")
     assert shlex.split(command) == ["racerl", "identify", "my drive/log.parquet", "data.gap=0.2"]
     assert done.stdout.count("next: ") == 1
+    table = pd.read_parquet(tmp_path / "my drive" / "log.parquet")
+    table.assign(x=1000 * table["x"], y=1000 * table["y"]).to_csv(tmp_path / "mm.csv", index=False)
+    *_, mend, command = run("data", "mm.csv", "out=mm").stdout.splitlines()
+    assert "mend first" in mend and command == "next: racerl data mm.csv"
     assert (
         _following("racerl gap plan LOG", ["a b.csv", "out=x", "data=put"], tmp_path)
         == "racerl gap plan 'a b.csv' data=put"
