@@ -383,7 +383,7 @@ def _is_reckoned(streams: Mapping[str, Stream]) -> bool:
 
 
 def _spike_remark(spikes: int) -> tuple[str, ...]:
-    return (f"{spikes} samples that stuck out of the pose are replaced by the line between their neighbours",)[:spikes]
+    return (f"samples that stuck out of the pose, now on the line between their neighbours: {spikes}",)[:spikes]
 
 
 def _held(layout: Layout, channel: str) -> bool:
