@@ -254,7 +254,7 @@ def _rewrite_override(word: str, groups: set[str], filed: Collection[str]) -> It
     if key in ("out", "from") and not value.startswith(("'", '"')):
         yield f"{key}={quote(value)}"  # a path may hold what Hydra's grammar has for itself: commas, brackets, umlauts
         return
-    if group in groups and (value == "null" or value.startswith("{")):
+    if group in groups and value in ("null", "{}"):
         told = f"leave the word out for the usual one; single keys are {group}.KEY=…"
         raise ConfigError(f"{word}: a choice of conf/{group} is expected; {told}")
     if group in FILE_GROUPS and group in groups:
