@@ -238,7 +238,7 @@ def test_a_folder_is_no_file_and_a_file_no_folder_of_logs(tmp_path, monkeypatch)
     seen = []
     run_command("gap", ["drive.csv", "seed=3"], lambda settings, out: seen.append(settings["seed"]), "logs")
     assert seen == [3]
-    with pytest.raises(ConfigError, match="no such file"):
+    with pytest.raises(ConfigError, match=r"car\.yaml: is a folder"):
         run_command("gap", ["drive.csv", "vehicle=car.yaml"], print, "logs")
 
 

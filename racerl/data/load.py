@@ -31,7 +31,7 @@ from racerl.data.agreement import DIFFERENTIATED, contradiction
 from racerl.data.bag import Stream, is_bag, open_bag
 from racerl.data.differentiate import velocities
 from racerl.data.layout import Layout, Source, read_layout
-from racerl.data.log import CHANNELS, LABEL, POSE, VELOCITY, Log, sample_time
+from racerl.data.log import CHANNELS, OURS, POSE, VELOCITY, Log, sample_time
 from racerl.data.topics import suited
 from racerl.documents import as_frame, conf_folder, read_yaml, require_content
 from racerl.errors import DocumentError, LogError, RacerlError, suggest
@@ -285,7 +285,7 @@ def _passed_over(have: Sequence[str], layout: Layout) -> Iterator[str]:
     plain = {name.replace("_", ""): name for name in CHANNELS if name not in have}
     told = []
     for name in have:
-        if name not in {*CHANNELS, *layout.require, layout.time.column, layout.run, LABEL}:
+        if name not in {*CHANNELS, *layout.require, layout.time.column, layout.run, *OURS}:
             near = difflib.get_close_matches(re.sub(r"[\W_]", "", name.lower()), plain, n=1, cutoff=0.75)
             short = " ".join(name.split())[:WIDEST]
             told.append(f"{short} ({plain[near[0]]}?)" if near else short)

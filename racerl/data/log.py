@@ -38,6 +38,7 @@ CHANNELS = {
 }
 POSE, VELOCITY = ("x", "y", "yaw"), ("v_x", "v_y", "yaw_rate")
 LABEL = "manoeuvre"  # column of a recorded log: what was driven
+OURS = (LABEL, "seed", "lap", "travelled", "s", "n", "heading", "offset", "margin")  # columns that racerl adds
 JITTER = 0.2  # of the sample time by which a step may differ within a run
 
 
