@@ -317,7 +317,7 @@ def _require_file(group: str, value: str) -> None:
 
 def _require_no_folder(group: str, value: str) -> None:
     """Raise ConfigError where a group is given a folder: files in it are what it may be."""
-    if value and value not in choices(group) and _there(value, Path.is_dir):
+    if value and _there(value, Path.is_dir) and value not in choices(group):
         endings = FILE_GROUPS[group]
         found = sorted(path for path in Path(value).iterdir() if path.name.lower().endswith(endings))
         cure = f"give a file in it, as {group}={found[0]}" if found else f"a file ends with {' or '.join(endings)}"

@@ -12,7 +12,7 @@ A lag is positive when the car answers later than the channel. Every warning is 
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -85,6 +85,11 @@ def inspect(log: Log, wheelbase: float = 0.33) -> dict[str, Any]:
             *_doubled(log),
         ],
     }
+
+
+def lines_of(inspected: Iterable[Mapping[str, Any]], kind: str) -> list[str]:
+    """Return the `warnings` or `contradictions` of inspected logs, each with its log's name."""
+    return [f"{each['name']}: {line}" for each in inspected for line in each[kind]]
 
 
 def compare(logs: Sequence[Log]) -> list[str]:
@@ -463,7 +468,7 @@ def _factor(ratio: float, one: str, other: str, units: Mapping[str, float]) -> s
 
 def _contradictions(compared: Comparison) -> Iterator[str]:
     """Velocities that were not made from the poses must agree with them; where yaw is in deg, none can."""
-    found = [(name, correlation, *_as_unit(name, factor)) for name, correlation, factor in differences(compared)]
+    found = [(*each, _unit_beside_pose(each[0], each[2])) for each in differences(compared)]
     degrees = [row for row in found if row[3] == "yaw in deg?"]
     for name, correlation, factor, cause in degrees or found:
         if correlation < -0.5:
@@ -474,10 +479,10 @@ def _contradictions(compared: Comparison) -> Iterator[str]:
             yield f"{name} does not follow the differentiated pose (correlation {correlation:.2f}); axes turned?"
 
 
-def _as_unit(name: str, factor: float) -> tuple[float, str]:
-    """Return a velocity's size beside the differentiated pose, and what it may come from."""
+def _unit_beside_pose(name: str, factor: float) -> str:
+    """Return what a velocity's factor over the differentiated pose may come from."""
     pose, units = ("yaw", ANGLES) if name == "yaw_rate" else ("x and y", SPEEDS)
-    return factor, _factor(factor, name, pose, units)
+    return _factor(factor, name, pose, units)
 
 
 def _apart(compared: Comparison) -> Iterator[str]:

@@ -283,9 +283,9 @@ def _named(path: Path, table: pd.DataFrame, layout: Layout) -> tuple[pd.DataFram
 def _passed_over(have: Sequence[str], layout: Layout) -> Iterator[str]:
     """Say which columns carry no channel's name, where that may be why a channel is missing."""
     plain = {name.replace("_", ""): name for name in CHANNELS if name not in have}
-    told = []
+    read, told = {*CHANNELS, *layout.require, layout.time.column, layout.run, *OURS}, []
     for name in have:
-        if name not in {*CHANNELS, *layout.require, layout.time.column, layout.run, *OURS}:
+        if name not in read:
             near = difflib.get_close_matches(re.sub(r"[\W_]", "", name.lower()), plain, n=1, cutoff=0.75)
             short = " ".join(name.split())[:WIDEST]
             told.append(f"{short} ({plain[near[0]]}?)" if near else short)

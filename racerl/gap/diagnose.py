@@ -11,7 +11,7 @@ import numpy as np
 import yaml
 
 from racerl import bounds
-from racerl.data.inspect import inspect
+from racerl.data.inspect import inspect, lines_of
 from racerl.data.load import load_measured
 from racerl.data.log import POSE, Log
 from racerl.documents import conf_folder, write_json, write_text
@@ -69,8 +69,8 @@ def gap(settings: Mapping[str, Any], out: Path, on_progress: OnProgress = silent
     inspected = [inspect(log, float(vehicle.wheelbase)) for log in logs]
     told: dict[str, Any] = {
         "logs": [log.facts() for log in logs],
-        "remarks": [f"{each['name']}: {line}" for each in inspected for line in each["warnings"]],
-        "contradictions": [f"{each['name']}: {line}" for each in inspected for line in each["contradictions"]],
+        "remarks": lines_of(inspected, "warnings"),
+        "contradictions": lines_of(inspected, "contradictions"),
         "untestable": _untestable(evidence, channels_of(logs)),
     }
     if not evidence:

@@ -6,7 +6,7 @@ from typing import Any
 from racerl.vehicle import catalogue
 
 PLAIN = {"steering": "steering", "drive": "drive", "chassis": "motion"}  # stages, as they are told
-HALF, NEAR = 0.5, 2.0  # of the gap, which a name should explain; times the noise, up to which little is left
+HALF, LITTLE = 0.5, 2.0  # of the gap, which a name should explain; times the noise, up to which little is left
 NOTHING = {
     "under_excited": "This log cannot tell what is missing",
     "unknown": "Something real is missing that no known effect explains",
@@ -42,7 +42,7 @@ def opening(facts: Mapping[str, Any]) -> list[str]:
         before, after = f"{gap['before']:.2f}", f"{gap['after']:.2f}"
         moves = f"falls from {before}" if gap["after"] < gap["before"] else f"goes from {before}"
         lines.append(f"with that the error {moves} to {after} times the sensors' noise")
-        if gap["explained"] < HALF and gap["after"] > NEAR:
+        if gap["explained"] < HALF and gap["after"] > LITTLE:
             lines.append("most of the gap has no name: something else is missing, too, and these may stand in for it")
     return [f"{_capital(line)}." for line in lines]
 

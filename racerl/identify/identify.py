@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from racerl import bounds
 from racerl.assemble import use_threads
-from racerl.data.inspect import compare, inspect
+from racerl.data.inspect import compare, inspect, lines_of
 from racerl.data.load import load_measured
 from racerl.data.log import CHANNELS, separate
 from racerl.documents import write_json, write_parquet
@@ -64,7 +64,7 @@ def identify(
     logs = [aligned(log, configured) for log in logs]
     warnings += compare(logs)
     inspected = [inspect(log, float(configured.wheelbase)) for log in logs]
-    warnings += [f"{each['name']}: {warning}" for each in inspected for warning in each["warnings"]]
+    warnings += lines_of(inspected, "warnings")
     wiring = choose_wiring(logs, settings["inputs"])
     vehicle = wiring.driven(configured)
     unknowns = _unknowns(settings, vehicle, configured, wiring) if settings["fit"] else None
@@ -81,7 +81,7 @@ def identify(
         "logs": [log.facts() for log in logs],
         "inputs": {"steering": wiring.steering, "drive": wiring.drive},
         "warnings": warnings,
-        "contradictions": [f"{each['name']}: {line}" for each in inspected for line in each["contradictions"]],
+        "contradictions": lines_of(inspected, "contradictions"),
         "horizon": settings["window"],
         "slips_covered": slips_covered(vehicle, scored.states()),
     }
