@@ -27,6 +27,14 @@ def wholes(name: str, value: Any, low: int, high: int) -> list[int]:
     return [whole(name, each, low, high) for each in value]
 
 
+def words(name: str, value: Any, expected: str) -> list[str]:
+    """Return texts, of which one may stand alone; raise ConfigError for anything else, saying what is `expected`."""
+    listed = [value] if isinstance(value, str) else value
+    if not isinstance(listed, list | tuple) or not all(isinstance(each, str) for each in listed):
+        raise ConfigError(f"{name} = {value}: {expected}")
+    return list(listed)
+
+
 def pair(name: str, value: Any, low: float, high: float, expected: str) -> tuple[float, float]:
     """Return two numbers of `low` … `high`; raise ConfigError for anything else, which says what is `expected`."""
     if isinstance(value, str) or not isinstance(value, Sequence) or len(value) != 2:

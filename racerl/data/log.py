@@ -36,6 +36,7 @@ CHANNELS = {
     "omega_ref": Channel("m/s", "commanded wheel surface speed", 100.0),
     "current": Channel("A", "motor current", 1000.0),
 }
+UNITS = {name: channel.unit for name, channel in CHANNELS.items()}
 POSE, VELOCITY = ("x", "y", "yaw"), ("v_x", "v_y", "yaw_rate")
 LABEL = "manoeuvre"  # column of a recorded log: what was driven
 OURS = (LABEL, "seed", "lap", "travelled", "s", "n", "heading", "offset", "margin")  # columns that racerl adds

@@ -70,7 +70,8 @@ class ParameterDraws:
     def __init__(
         self, vehicle: Vehicle, randomization: Randomization, count: int, device: torch.device, dtype: torch.dtype
     ) -> None:
-        scaled = randomization.names(vehicle) if randomization.sigma > 0 else []
+        matched = randomization.names(vehicle)
+        scaled = matched if randomization.sigma > 0 else []
         possible = read_cars(Path(randomization.cars), vehicle) if randomization.cars else {}
         self.names = [*possible, *(name for name in scaled if name not in possible)]
         self._known = nominal = values(vehicle)

@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 
 
 EFFECTS = "effects.*"  # a pattern that may find none
+HELD = "a list of parameters or patterns is expected, for instance hold=[l_f]"
 FORMS = "allowed is a share ≥ 0, {absolute: …} or {share: …}, with within: [low, high] beside it if need be, or null"
 
 

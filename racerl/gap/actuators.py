@@ -19,8 +19,8 @@ def actuators(evidence: Mapping[str, Evidence]) -> dict[str, dict[str, Any]]:
     """Return what was measured where a command had settled, by actuator; those that were not logged are left out.
 
     `scale` and `offset`: response = scale × command + offset, by Siegel's repeated medians; `lag` in s, by which it
-    follows that best, all None of a command that never changes; `most`: the largest command and response in size;
-    `command`, `response`: settled samples.
+    follows that best, None in runs that are too short; all None of a command that never changes; `most`: the largest
+    command and response in size; `command`, `response`: settled samples.
     """
     found = {}
     for name, part in evidence.items():
@@ -63,11 +63,17 @@ def _line(evidence: Evidence, command: Array, response: Array, rows: NDArray[np.
     return {"scale": float(scale), "offset": float(offset), "lag": lag}
 
 
-def _lag(evidence: Evidence, wanted: Array, response: Array) -> float:
-    """Return by how many s the response follows what was wanted, where both differ least in the longest run."""
-    row = int(np.argmax(evidence.last - evidence.first))
-    run = slice(evidence.first[row], evidence.last[row] + 1)
-    asked, shown = wanted[run], response[run]
-    shifts = range(min(round(LONGEST / evidence.dt), len(asked) - 1))
-    away = [float(((shown[k:] - asked[: len(asked) - k]) ** 2).mean()) for k in shifts]
-    return float(np.argmin(away) * evidence.dt)
+def _lag(evidence: Evidence, wanted: Array, response: Array) -> float | None:
+    """Return by how many s the response follows what was wanted: where both differ least, run by run.
+
+    The same rows of the response count at every lag.
+    """
+    most = round(LONGEST / evidence.dt)
+    runs = [(wanted[run], response[run]) for run in evidence.runs if run.stop - run.start > most]
+    if not any(np.ptp(asked) > 0.0 for asked, _ in runs):
+        return None
+
+    def away(k: int) -> float:
+        return sum(float(((shown[most:] - asked[most - k : len(asked) - k]) ** 2).sum()) for asked, shown in runs)
+
+    return min(range(most + 1), key=away) * evidence.dt

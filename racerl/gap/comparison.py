@@ -51,9 +51,10 @@ class CandidateScore:
     """A candidate on held-out windows: its fit, its cost per window and stage, and what it gains.
 
     `gain` is in squared deviations, robust against wild windows, `error` its standard error over blocks of windows;
-    `explained` the share that it takes of the excess in the stages that it touches, `worth` of the first one there;
-    `before` is the excess that the fit before it leaves, of the stage that has most, over the noise's cost; `behind` is
-    by how much the best one of the round gains more, in standard errors of the difference.
+    `p` the share of resamples of these without a gain; `explained` the share that it takes of the excess in the stages
+    that it touches, `worth` of the first one there; `before` is the excess that the fit before it leaves, of the stage
+    that has most, over the noise's cost; `behind` is by how much the best one of the round gains more, in standard
+    errors of the difference.
     """
 
     name: str
@@ -181,23 +182,21 @@ class Judge:
             for part in (before, cost, self.first)
         )
         least = 0.001 * sum(noise[stage] for stage in stages)  # so small an excess is noise itself
-        share, worth = (had - left) / max(had, least), (had - left) / max(first, least)
         fit = {stage: investigation.cost(standing.found, stage) for stage in stages}
         most = max(part / noise[stage] for stage, part in excesses(investigation, fit, noise).items())
-        fall = (had - left) / sum(noise[stage] for stage in stages)
         return CandidateScore(
-            name,
-            found,
-            cost,
-            gain,
-            error,
-            self.chance(before, cost),
-            share,
-            worth,
-            most,
-            fall,
-            investigation.shaped and TYRES in stages,
-            self.nominal.likeness(name, found.effects - {name}),
+            name=name,
+            found=found,
+            cost=cost,
+            gain=gain,
+            error=error,
+            p=self.chance(before, cost),
+            explained=(had - left) / max(had, least),
+            worth=(had - left) / max(first, least),
+            before=most,
+            fall=(had - left) / sum(noise[stage] for stage in stages),
+            foreign=investigation.shaped and TYRES in stages,
+            like=self.nominal.likeness(name, found.effects - {name}),
         )
 
     def ranked(self, scored: Sequence[CandidateScore], before: Mapping[str, Array]) -> list[CandidateScore]:

@@ -15,7 +15,7 @@ from racerl.data.inspect import inspect, lines_of
 from racerl.data.load import load_measured
 from racerl.data.log import POSE, Log
 from racerl.documents import conf_folder, write_json, write_text
-from racerl.estimation.unknowns import choose_unknowns
+from racerl.estimation.unknowns import HELD, choose_unknowns
 from racerl.gap import residual
 from racerl.gap.any_tyre import shape_of
 from racerl.gap.catalogue import of_the_world, starts
@@ -45,6 +45,7 @@ from racerl.vehicle.vehicle import Vehicle
 LOCATE, NAME, PROOF, VERDICT, MODEL = "locate.json", "name.json", "prove.json", "verdict.json", "model.yaml"
 MODEL_BEFORE = "model_before.yaml"  # refitted, without the effects found
 RESIDUAL, RESIDUAL_MODEL = "residual.json", "model_residual.yaml"
+LISTED = {"hold": HELD, "without": "a list of effects is expected, for instance without=[yaw_damping]"}
 FEWEST = 20  # windows of a stage, below which it is left out
 PROGRAMME = (
     "ten runs or more with step steers of three sizes, slow ramps to full lock, circles of two radii at two speeds "
@@ -102,8 +103,13 @@ def check(settings: Mapping[str, Any]) -> None:
     for key, (low, high) in whole.items():
         bounds.whole(key, settings[key], low, high)
     bounds.number("slowest", settings["slowest"], 0.0, 50.0, "m/s")
-    for name in _list(settings["without"]):
+    _listed(settings, "hold")
+    for name in _listed(settings, "without"):
         catalogue.entry(name)
+
+
+def _listed(settings: Mapping[str, Any], key: str) -> list[str]:
+    return bounds.words(key, settings[key], LISTED[key])
 
 
 def cut(logs: Sequence[Log], settings: Mapping[str, Any]) -> dict[str, Evidence]:
@@ -133,8 +139,8 @@ def refit(
 ) -> Investigation:
     """Return the evidence with the vehicle refitted to it, and the effects that it may lack."""
     unknowns = choose_unknowns(vehicle, settings["priors"], settings["hold"], vehicle)
-    without = {*_list(settings["without"]), *vehicle.effects}
-    limits = {name: (value, value) for name, value in _held(vehicle, _list(settings["hold"]))}
+    without = {*_listed(settings, "without"), *vehicle.effects}
+    limits = {name: (value, value) for name, value in _held(vehicle, _listed(settings, "hold"))}
     # one shift of all on-board channels is one of the motion capture, the other way; whichever is late has the name
     if set(POSE) <= channels_of(logs):
         limits["effects.command_timestamp_offset.latency"] = (0.0, 0.2)
@@ -163,10 +169,6 @@ def _held(vehicle: Vehicle, hold: Sequence[str]) -> list[tuple[str, float]]:
     """Return the parameters that stay as they are, with their values."""
     table = values(vehicle)
     return [(name, float(table[name])) for pattern in hold for name in fnmatch.filter(table, pattern)]
-
-
-def _list(value: Any) -> list[str]:
-    return [value] if isinstance(value, str) else list(value)
 
 
 def _steps(
@@ -336,10 +338,14 @@ def _untestable(evidence: Mapping[str, Evidence], channels: Collection[str]) -> 
     """Return the stages, and the effects, that the logs' channels or their shortness leave untested."""
     unseen = [] if set(POSE) <= set(channels) else _unseen()
     return dict.fromkeys(unseen, f"needs {', '.join(POSE)}") | {
-        stage.name: f"needs {', '.join((*stage.inputs, stage.outputs[0]))} over {FEWEST} windows or more"
+        stage.name: f"needs {', '.join(stage.needed)} and {_any_of(stage.outputs)} over {FEWEST} windows or more"
         for stage in stages(channels)
         if stage.name not in evidence
     }
+
+
+def _any_of(channels: Sequence[str]) -> str:
+    return channels[0] if len(channels) == 1 else f"one of {', '.join(channels)}"
 
 
 def _write_vehicle(

@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 MARGIN = 25  # samples of a run before its first window, so that late inputs are known
 SMOOTH = (33, 17, 9, 5)  # samples of the quadratic Savitzky–Golay filters that measured inputs may be smoothed by
+SLOPE = 7  # samples that a shown slope is taken over
 STEEP = 2  # samples more for their slopes
 QUIET, PART = 2.0, 50  # most mean square over so many samples, in that of the noise, that smoothing may take away
 LOCAL, ORDER = 11, 4  # samples and order of the local polynomials that tell noise from motion
@@ -65,8 +66,7 @@ class Evidence:
         Windows in which the car is slower than `slowest` m/s are left out but for the steering: tyres are stiff there.
         """
         channels = channels_of(logs)
-        needed = [stage.inputs[0]] if stage.name == "steering" else list(stage.inputs)
-        if not channels >= set(needed) or not channels & set(stage.outputs):
+        if not channels >= set(stage.needed) or not channels & set(stage.outputs):
             return None
         runs = [rows for log in logs for rows in log.runs()]
         size = np.array([len(rows) for rows in runs])
@@ -140,6 +140,11 @@ class Evidence:
             for column in (values, slopes)
         )
 
+    @cached_property
+    def runs(self) -> list[slice]:
+        """The rows of each run."""
+        return [slice(begin, self.last[begin] + 1) for begin in np.unique(self.first)]
+
     def late(self, column: Array, seconds: float) -> Array:
         """Return a column (R,) that comes so many seconds later, held at the ends of each run."""
         if seconds == 0.0:
@@ -172,12 +177,15 @@ class Evidence:
     def _filtered(self, name: str, window: int, deriv: int = 0) -> Array:
         """Return a channel or its slope, filtered run by run; as it is, or zero, in runs that are too short."""
         values = np.zeros(len(self.first)) if deriv else self.columns[name].copy()
-        for begin in np.unique(self.first):
-            end = self.last[begin] + 1
-            if end - begin >= window:
-                part = self.columns[name][begin:end]
-                values[begin:end] = savgol_filter(part, window, 2, deriv=deriv, delta=self.dt, mode="interp")
+        for run in self.runs:
+            part = self.columns[name][run]
+            if len(part) >= window:
+                values[run] = savgol_filter(part, window, 2, deriv=deriv, delta=self.dt, mode="interp")
         return values
+
+    def slope(self, name: str) -> Array:
+        """Return a channel's time derivative (R,), over some samples of its run; zero in runs that are shorter."""
+        return self._filtered(name, SLOPE, deriv=1)
 
     def trust(self, name: str) -> float:
         """Return how precisely a window's initial state is known from its measurement, in 1/σ².
@@ -209,8 +217,7 @@ class Evidence:
     @property
     def filtered(self) -> bool:
         """Whether most outputs were filtered before they were logged: noise that is not white is larger than shown."""
-        longest = np.argmax(self.last - self.first)
-        run = slice(self.first[longest], self.last[longest] + 1)
+        run = max(self.runs, key=lambda run: run.stop - run.start)
         return float(np.median([_whiteness(self.columns[name][run]) for name in self.observed])) < WHITE
 
     def with_noisy_inputs(self, generator: np.random.Generator) -> "Evidence":
@@ -234,9 +241,8 @@ class Evidence:
         return {}
 
     def _noise_in(self, column: Array) -> float:
-        begins = np.unique(self.first)
-        sizes = self.last[begins] + 1 - begins
-        squares = [_spread(column[b : b + n]) ** 2 for b, n in zip(begins, sizes, strict=True)]
+        parts = [column[run] for run in self.runs]
+        squares, sizes = [_spread(part) ** 2 for part in parts], [len(part) for part in parts]
         return max(float(np.sqrt(np.average(squares, weights=sizes))), 1e-9)
 
 

@@ -39,14 +39,21 @@ def places(evidence: Evidence, errors: Array, noise: Array, radius: float, count
     power = growth(errors, noise).mean(axis=1)
     power = np.minimum(power, np.quantile(power, 0.99))
     x, y = (segments(evidence, evidence.columns[axis]) for axis in ("x", "y"))
-    near = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2 < radius**2
-    excess = near @ (power - np.median(power)) / np.sqrt(near.sum(axis=1))
+    above = power - np.median(power)
+
+    def near(i: int) -> NDArray[np.bool_]:
+        return np.asarray((x - x[i]) ** 2 + (y - y[i]) ** 2 < radius**2)
+
+    def excess(inside: NDArray[np.bool_]) -> float:
+        return float(above[inside].sum() / np.sqrt(inside.sum()))
+
+    sums = np.array([excess(near(i)) for i in range(len(x))])
     found: list[tuple[float, float]] = []
-    for i in np.argsort(-excess):
-        inside = near[i] & (power > np.median(power))
+    for i in np.argsort(-sums):
+        if sums[i] <= 0.0 or len(found) == count:
+            break
+        inside = near(i) & (above > 0.0)
         place = float(np.average(x[inside], weights=power[inside])), float(np.average(y[inside], weights=power[inside]))
         if all(np.hypot(place[0] - a, place[1] - b) > APART * radius for a, b in found):
             found.append(place)
-        if len(found) == count:
-            break
     return found

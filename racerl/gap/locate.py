@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.stats import false_discovery_control
 
 from racerl.gap.actuators import actuators
-from racerl.gap.evidence import COMMANDS, Evidence
+from racerl.gap.evidence import Evidence
 from racerl.gap.growth import growth, segments
 from racerl.gap.investigation import Investigation
 from racerl.gap.kernels import StageKernels
@@ -29,7 +29,6 @@ TAIL = 0.01
 ROLLS = 400
 RATE = 0.05  # of false discoveries
 ROUNDING = 1e-9  # of a spread
-REACH = 0.3  # s, of the cross-correlation
 STEPS = 8  # most of a fit of initial states alone
 CLUES = 8  # of maps, in the verdict
 
@@ -54,7 +53,7 @@ def conditions(evidence: Evidence, l_f: float, l_r: float) -> dict[str, Conditio
     if "v_x" in have:
         v_x = np.maximum(have["v_x"], 0.3)
         add("speed", "speed", "m/s", have["v_x"])
-        add("a_x", "longitudinal acceleration", "m/s²", _slope(evidence, "v_x"))
+        add("a_x", "longitudinal acceleration", "m/s²", evidence.slope("v_x"))
         add("distance", "distance driven", "m", np.cumsum(np.abs(have["v_x"])) * evidence.dt)
         if "yaw_rate" in have:
             add("a_y", "lateral acceleration", "m/s²", have["v_x"] * have["yaw_rate"])
@@ -68,17 +67,12 @@ def conditions(evidence: Evidence, l_f: float, l_r: float) -> dict[str, Conditio
     steering = next((name for name in ("delta", "delta_ref") if name in have), None)
     if steering:
         add("steering", "steering angle", "rad", have[steering])
-        add("steering_rate", "steering rate", "rad/s", np.abs(_slope(evidence, steering)))
+        add("steering_rate", "steering rate", "rad/s", np.abs(evidence.slope(steering)))
     if {"x", "y", "yaw"} <= set(have):
         add("x", "place, x", "m", have["x"])
         add("y", "place, y", "m", have["y"])
         add("heading", "heading", "rad", np.angle(np.exp(1j * have["yaw"])))
     return found
-
-
-def _slope(evidence: Evidence, name: str) -> Array:
-    slope = np.gradient(evidence.columns[name], evidence.dt)
-    return np.convolve(slope, np.full(5, 0.2), mode="same")
 
 
 def horizons(errors: Array) -> dict[str, list[float]]:
@@ -161,42 +155,6 @@ def _number(value: float) -> str:
     return f"{value:.2g}" if abs(value) < 10 else f"{value:.0f}"
 
 
-def lags(investigation: Investigation, errors: Mapping[str, Array]) -> list[dict[str, Any]]:
-    """Return the correlation of each channel's error with the slope of each input over ± 300 ms, and its peak."""
-    found = []
-    for name, part in errors.items():
-        evidence = investigation.evidence[name]
-        reach = round(REACH / evidence.dt)
-        rows = evidence.start[:, None] + np.arange(evidence.length + 1)
-        for source in evidence.stage.inputs:
-            slope = _slope(evidence, source)
-            if not slope.any():
-                continue
-            offsets = np.arange(-reach, reach + 1, max(1, reach // 15))
-            for c, channel in enumerate(evidence.observed):
-                error = part[:, c, :].T  # (W, T + 1)
-                table = [_correlation(error, slope[np.clip(rows + k, 0, len(slope) - 1)]) for k in offsets]
-                peak = int(np.argmax(np.abs(table)))
-                found.append(
-                    {
-                        "stage": name,
-                        "channel": channel,
-                        "input": source,
-                        "command": source in COMMANDS,
-                        "lags_s": (offsets * evidence.dt).tolist(),
-                        "correlation": table,
-                        "peak_s": float(offsets[peak] * evidence.dt),
-                        "peak": table[peak],
-                    }
-                )
-    return found
-
-
-def _correlation(one: Array, other: Array) -> float:
-    a, b = one - one.mean(), other - other.mean()
-    return float((a * b).sum() / np.sqrt(max((a * a).sum() * (b * b).sum(), 1e-300)))
-
-
 def outcome(investigation: Investigation, evidence: Evidence) -> tuple[Array, Array]:
     """Return the errors (T + 1, C, W) of the refitted vehicle over a stage that was not fitted, and the noise's."""
     noise, car = evidence.noise(), investigation.base.vehicle
@@ -212,7 +170,7 @@ def _chain(investigation: Investigation, whole: Evidence) -> dict[str, Any]:
 
 
 def locate(investigation: Investigation, whole: Evidence | None) -> dict[str, Any]:
-    """Return errors, maps and correlations of the refitted vehicle without further effects; `whole`: of the chain."""
+    """Return errors and maps of the refitted vehicle without further effects; `whole`: of the chain."""
     errors = investigation.base.errors()
     everything = maps(investigation, errors)
     chassis = investigation.evidence.get("chassis")
@@ -229,7 +187,6 @@ def locate(investigation: Investigation, whole: Evidence | None) -> dict[str, An
         },
         "maps": everything,
         "where": clues(everything),
-        "lags": lags(investigation, errors),
         "chain": _chain(investigation, whole) if whole else None,
         "actuators": actuators(investigation.evidence),
         "kinematics": consistency(chassis) if chassis else [],

@@ -4,7 +4,7 @@ The score test's matrix H over the effects' presences, nominal and initial-state
 its diagonal is the χ² by which an effect of its usual size would show, its cosines how alike two effects look.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from racerl.documents import write_json
 from racerl.errors import LogError
 from racerl.gap.checkpoint import Checkpoint
 from racerl.gap.diagnose import FEWEST, check, cut, excitations, refit
+from racerl.gap.progress import OnProgress, silent
 from racerl.gap.score import Score, summed
 from racerl.gap.screening import scores
 from racerl.gap.verdict import alike
@@ -32,7 +33,7 @@ def plan(
     settings: Mapping[str, Any],
     out: Path,
     compose: Compose,
-    on_progress: Callable[[str, float], None] = lambda what, share: None,
+    on_progress: OnProgress = silent,
 ) -> dict[str, Any]:
     """Write plan.json about the logs of `settings`, or about the excitation programme if there are none.
 

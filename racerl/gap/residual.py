@@ -35,7 +35,7 @@ def limits(investigation: Investigation) -> dict[str, float]:
     columns: Mapping[str, Any] = next(iter(investigation.evidence.values())).columns
     seen = {}
     for key, names in CHANNELS.items():
-        channel = next((name for name in names if name in columns), None)
+        channel = next((name for name in names if np.any(columns.get(name, 0.0))), None)  # zeros stand for none
         if channel:
             seen[key] = max(float(np.quantile(np.abs(columns[channel]), SEEN)), 0.1)
     return seen

@@ -14,7 +14,7 @@ NOTHING = {
 
 
 def headline(facts: Mapping[str, Any]) -> str:
-    """Return a verdict in one sentence without numbers."""
+    """Return a verdict in one sentence, without its effects' numbers."""
     names, rivals = [effect["name"] for effect in facts["effects"]], facts["ambiguous_with"]
     said = [f"{row['what']}: {_change(row)} than configured" for row in facts["configured"]["changes"]]
     if names:

@@ -33,6 +33,11 @@ class Stage:
     inputs: tuple[str, str]
     outputs: tuple[str, ...]
 
+    @property
+    def needed(self) -> tuple[str, ...]:
+        """Inputs that a log must have; to a steering command the wheel speed is of little matter."""
+        return self.inputs[:1] if self.name == "steering" else self.inputs
+
     def vehicle(self, vehicle: Vehicle) -> Vehicle:
         """Return the vehicle with the stage's measured inputs in place of its actuators."""
         return drive_by(vehicle, measured_steering=self.inputs[0] == "delta", measured_speed=self.inputs[1] == "omega")

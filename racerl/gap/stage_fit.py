@@ -62,7 +62,7 @@ class StageFit:
             self.windows, self._shifts = self._cut(theta), shifts
 
     def _precision(self, name: str, row: Array) -> float:
-        """Return 1/s_0² of an initial state; zero for the car's own."""
+        """Return 1/s_0² of an initial state: how precisely the log has it."""
         if name in STATE:
             return self.problem.evidence.trust(name)
         effect, _, state = name.partition(".")

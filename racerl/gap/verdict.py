@@ -10,8 +10,9 @@ ambiguous       another effect explains the data as well
 unknown         what is left is real, and no known effect explains it
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from racerl.gap.investigation import Investigation
 from racerl.gap.score import Score
 from racerl.gap.sentences import listed
 
+Costs = Mapping[str, float]  # excess of every stage
 CHANCE = 5.0  # deviations of the noise's own cost, below which an excess may be chance
 LEFT, LEFT_EXACT = 0.25, 0.1  # shares of the first excess that may stay behind a right name: of many forms, of one
 CREDIBLE = 0.6  # share of the excess that a name must explain
@@ -36,7 +38,7 @@ STABLE, RARE = 0.8, 0.1  # shares of resamples in which a name comes out, and a 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What is said: the kind, the effects, and those that cannot be told from the first."""
+    """What is said: the kind, the effects, and those that cannot be told from one of them."""
 
     kind: str
     effects: tuple[str, ...]
@@ -47,51 +49,58 @@ class Verdict:
 
 def judge(investigation: Investigation, decision: Decision) -> Verdict:
     """Return the verdict."""
-    blind = decision.score.hidden()
-    effects = tuple(decision.chosen)
-    equal = [row.name for rows in decision.kept.values() for row in equals(rows)]
-    shaky = [row.name for rows in decision.kept.values() for row in _unsettled(rows)]
-    rivals = tuple(dict.fromkeys(name for name in (*equal, *_one_with(decision), *shaky) if name not in effects))
     before, after = fitted(investigation, decision)
-    stage, left, first = open_stage(investigation, decision, before, after)
-    if not effects:
-        if stage:
-            reason = f"the {stage} stage has an excess of {first:.0%} over the noise's cost, which no effect explains"
-            return Verdict("unknown", (), (), blind, reason)
-        if len(blind) > MOST * len(decision.score.names):
-            reason = f"{len(blind)} of {len(decision.score.names)} effects would not show at their usual size"
-            return Verdict("under_excited", (), (), blind, reason)
-        reason = "the refitted vehicle reaches the noise"
-        if investigation.shaped:
-            reason = f"on a tyre of another shape than its formula's the refitted vehicle is within {FOREIGN:.0%} of it"
-        return Verdict("none", (), (), blind, reason)
-    explain = "explains" if len(effects) == 1 else "explain"
+    if not decision.chosen:
+        return _without_effects(investigation, decision, before, after)
+    return _with_effects(investigation, decision, before, after)
+
+
+def _without_effects(investigation: Investigation, decision: Decision, before: Costs, after: Costs) -> Verdict:
+    blind = decision.score.hidden()
+    stage, _, first = open_stage(investigation, decision, before, after)
     if stage:
-        reason = f"with {listed(effects)}, {left / first:.0%} of the excess in the {stage} stage stays"
-        return Verdict("unknown", effects, (), blind, reason)
+        reason = f"the {stage} stage has an excess of {first:.0%} over the noise's cost, which no effect explains"
+        return Verdict("unknown", (), (), blind, reason)
+    if len(blind) > MOST * len(decision.score.names):
+        reason = f"{len(blind)} of {len(decision.score.names)} effects would not show at their usual size"
+        return Verdict("under_excited", (), (), blind, reason)
+    reason = "the refitted vehicle reaches the noise"
+    if investigation.shaped:
+        reason = f"on a tyre of another shape than its formula's the refitted vehicle is within {FOREIGN:.0%} of it"
+    return Verdict("none", (), (), blind, reason)
+
+
+def _with_effects(investigation: Investigation, decision: Decision, before: Costs, after: Costs) -> Verdict:
+    effects, blind = tuple(decision.chosen), decision.score.hidden()
+    unknown = partial(Verdict, "unknown", effects, (), blind)
+    stage, left, first = open_stage(investigation, decision, before, after)
+    if stage:
+        return unknown(f"with {listed(effects)}, {left / first:.0%} of the excess in the {stage} stage stays")
     moved = touched(investigation, decision.found.vehicle, effects)  # elsewhere an excess is chance
     had, rest = (total(parts[stage] for stage in moved) for parts in (before, after))
+    explain = f"{listed(effects)} {'explains' if len(effects) == 1 else 'explain'}"
     if rest >= had:
-        return Verdict("unknown", effects, (), blind, f"{listed(effects)} {explain} nothing of the excess")
-    share = 1.0 - rest / had
+        return unknown(f"{explain} nothing of the excess")
+    share, noise = 1.0 - rest / had, sum(decision.noise[stage] for stage in moved)
+    explained = f"{explain} {share:.0%} of the excess"
     if decision.doubted:
-        more = f"more is missing, like {decision.doubted}, but probably not it"
-        reason = f"{listed(effects)} {explain} {share:.0%} of the excess; {more}"
-        return Verdict("unknown", effects, (), blind, reason)
-    foreign = investigation.shaped and rest < FOREIGN * sum(decision.noise[stage] for stage in moved)
-    if (
-        share < CREDIBLE
-        and not foreign
-        and not any(_coarse(investigation, decision, stage, after[stage]) for stage in moved)
-    ):
-        reason = f"{listed(effects)} {explain} only {share:.0%} of a small excess"
-        return Verdict("under_excited", (), (), blind, reason)
-    explained = f"{listed(effects)} {explain} {share:.0%} of the excess"
-    if had < REAL * sum(decision.noise[stage] for stage in moved):
+        return unknown(f"{explained}; more is missing, like {decision.doubted}, but probably not it")
+    foreign = investigation.shaped and rest < FOREIGN * noise
+    coarse = any(_coarse(investigation, decision, stage, after[stage]) for stage in moved)
+    if share < CREDIBLE and not foreign and not coarse:
+        return Verdict("under_excited", (), (), blind, f"{explain} only {share:.0%} of a small excess")
+    if had < REAL * noise:
         explained += ", which is no larger than the noise is known"
-    if rivals:
+    if rivals := _rivals(decision, effects):
         return Verdict("ambiguous", effects, rivals, blind, f"{explained}; so does {listed(rivals, ' or ')}")
     return Verdict("named" if len(effects) == 1 else "multiple", effects, (), blind, explained)
+
+
+def _rivals(decision: Decision, effects: Collection[str]) -> tuple[str, ...]:
+    """Return the effects that may stand in the place of one that was found."""
+    equal = [row.name for rows in decision.kept.values() for row in equals(rows)]
+    shaky = [row.name for rows in decision.kept.values() for row in _unsettled(rows)]
+    return tuple(dict.fromkeys(name for name in (*equal, *_one_with(decision), *shaky) if name not in effects))
 
 
 def proved(verdict: Verdict, gap: Mapping[str, float]) -> Verdict:

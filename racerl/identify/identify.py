@@ -22,7 +22,7 @@ from racerl.data.load import load_measured
 from racerl.data.log import CHANNELS, separate
 from racerl.documents import write_json, write_parquet
 from racerl.errors import ConfigError, LogError
-from racerl.estimation.unknowns import Unknowns, choose_unknowns
+from racerl.estimation.unknowns import HELD, Unknowns, choose_unknowns
 from racerl.identify.document import write_model
 from racerl.identify.folds import deal
 from racerl.identify.score import ErrorSum
@@ -127,9 +127,7 @@ def check(settings: Mapping[str, Any]) -> None:
     for key in ("priors", "weights"):
         if not isinstance(settings[key], Mapping):
             raise ConfigError(f"{key} = {settings[key]}: a mapping is expected, for instance {key}={{}}")
-    hold = settings["hold"]
-    if not isinstance(hold, (str, list)) or not all(isinstance(pattern, str) for pattern in hold):
-        raise ConfigError(f"hold = {hold}: a list of parameters or patterns is expected, for instance hold=[l_f]")
+    bounds.words("hold", settings["hold"], HELD)
 
 
 def _unknowns(settings: Mapping[str, Any], vehicle: Vehicle, configured: Vehicle, wiring: Wiring) -> Unknowns:

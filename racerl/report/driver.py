@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from racerl import bounds
 from racerl.data.log import Log
 from racerl.documents import conf_folder
-from racerl.errors import ConfigError, RunError
+from racerl.errors import RunError
 from racerl.evaluate.laps import rows, score
 from racerl.evaluate.outcome import track_table
 from racerl.evaluate.recorded import follow
@@ -46,10 +47,7 @@ class Driver:
 
 def listed(words: Any) -> list[str]:
     """Return the drivers of a setting, which may be one or a list; raise ConfigError for anything else."""
-    rows = [words] if isinstance(words, str) else words
-    if not isinstance(rows, list) or not all(isinstance(each, str) for each in rows):
-        raise ConfigError(f"drivers = {words}: a list is expected; allowed are {ALLOWED}")
-    return rows
+    return bounds.words("drivers", words, f"a list is expected; allowed are {ALLOWED}")
 
 
 def _of_run(word: str, outputs: Path) -> Subject:

@@ -6,7 +6,7 @@ from typing import Any
 
 import jinja2
 
-from racerl.data.log import CHANNELS
+from racerl.data.log import UNITS
 from racerl.documents import read_json, read_yaml
 from racerl.errors import DocumentError, RunError
 from racerl.gap.diagnose import LOCATE, PROOF, VERDICT
@@ -16,7 +16,6 @@ from racerl.report.page import figure, provenance, write_page
 from racerl.run import CONFIG, RunFolder
 
 FOLDED = ("ranking", "maps")  # figures
-UNITS = {name: channel.unit for name, channel in CHANNELS.items()}
 
 
 def draw_gap(run: Path) -> Path:

@@ -8,15 +8,13 @@ import jinja2
 import pandas as pd
 import pyarrow as pa
 
-from racerl.data.log import CHANNELS
+from racerl.data.log import UNITS
 from racerl.documents import read_json
 from racerl.errors import DocumentError, RunError
 from racerl.identify.identify import OVERLAY, RESULT, TYRES
 from racerl.report.figures import overlay, residuals, tyre_curves
 from racerl.report.page import figure, provenance, write_page
 from racerl.run import RunFolder
-
-UNITS = {name: channel.unit for name, channel in CHANNELS.items()}
 
 
 def draw_identification(run: Path) -> Path:

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from racerl import bounds
 from racerl.errors import RunError
 from racerl.optimum.floor import gap
 from racerl.paper import NAMES, table_1
@@ -33,13 +34,19 @@ FIGURES = (
 )
 
 
+SHOWN = ("train", "sweep", *RACED)  # stages whose runs a page can be about
+
+
 def report(settings: Mapping[str, Any], out: Path, outputs: Path = Path("outputs")) -> Path:
     """Write the page about `settings["runs"]`, or about all that was raced or swept under `outputs`; return its path.
 
     Raises RunError when there is none, or one is damaged.
     """
-    runs = [settings["runs"]] if isinstance(settings["runs"], str) else list(settings["runs"])
+    runs = bounds.words("runs", settings["runs"], "a list of run folders is expected")
     given = [RunFolder.open(Path(run)) for run in runs]
+    for run, folder in zip(runs, given, strict=True):
+        if (stage := folder.manifest["stage"]) not in SHOWN:
+            raise RunError(f"{run}: is a run of racerl {stage}, which holds no laps; allowed are {', '.join(SHOWN)}")
     around = find_runs(outputs)
     swept = [run.path for run in given or around if run.manifest["stage"] == "sweep"]
     others = [run.path for run in given if run.path not in swept]
@@ -70,7 +77,7 @@ def report(settings: Mapping[str, Any], out: Path, outputs: Path = Path("outputs
 
 
 def headline(subjects: Sequence[Subject]) -> str:
-    """Return what the fastest of the drivers did: mean lap and clean laps."""
+    """Return what the cleanest of the drivers did, of equally clean ones the fastest: mean lap and clean laps."""
     raced = [(s, s.evaluation.metrics) for s in subjects if s.evaluation is not None]
     if not raced:
         return f"{', '.join(subject.name for subject in subjects)}: not raced yet"

@@ -141,6 +141,8 @@ def _read_evaluation(folder: RunFolder) -> Evaluation:
         for row in metrics["rows"]:
             _check(row, ROW_FIELDS, f"{METRICS}, rows")
         drive = _finite_table(_read_drive(folder.path / TRAJECTORIES), DRIVE_COLUMNS, TRAJECTORIES)
+        if "delta" not in drive:
+            raise ValueError(f"{TRAJECTORIES}: delta missing")
         drive["delta"] = pd.to_numeric(drive["delta"])  # NaN in the log of a car that did not measure it
         track = _finite_table(pd.read_csv(folder.path / TRACK), TRACK_COLUMNS, TRACK)
     except (DocumentError, OSError, ValueError, pa.ArrowException) as error:

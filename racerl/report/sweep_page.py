@@ -20,7 +20,7 @@ from racerl.report.subjects import Evaluation, find_subjects
 from racerl.run import RunFolder
 from racerl.sweep.conclusions import POLICIES, banner, grouped, headline, of
 from racerl.sweep.definition import METRICS, OF_TRAINING, TWIN
-from racerl.sweep.jobs import policies
+from racerl.sweep.jobs import identity, policies
 from racerl.sweep.statistics import power, told, was_tested
 from racerl.sweep.sweep import of_policy
 from racerl.sweep.tables import LAPS, LEARNING, RESULTS, STEERING, TRAININGS, read_table
@@ -72,7 +72,7 @@ class Findings:
     def colours(self) -> dict[tuple[str, str], str]:
         """Colour of every arm, by sweep and name, for all figures; arms that were trained alike share one."""
         first = self.trainings.drop_duplicates(["sweep", "arm"])
-        return assign({(row.sweep, row.arm): row.job.rpartition("-")[2] for row in first.itertuples()})
+        return assign({(row.sweep, row.arm): identity(row.job) for row in first.itertuples()})
 
     @property
     def policies(self) -> list[str]:
@@ -130,7 +130,7 @@ def drawn(found: Findings) -> Iterator[tuple[str, str, str, str | None]]:
         for name, title, caption, svg in _of_policy(found, policy):
             words = found.words(policy)
             yield f"{name}_{policy}" if words else name, f"{title}, {words}" if words else title, caption, svg
-    for a, b in DUELS:
+    for a, b in DUELS if found.cars else ():
         yield (
             f"{a}_and_{b}",
             f"{_words(a)} and {_words(b)} (the paper's Fig. 6)",
@@ -285,7 +285,7 @@ def _test(test: dict[str, Any]) -> dict[str, Any]:
         "outcome": outcome[test["holds"]] if was_tested(test) else f"not tested, {test['why']}",
         "plot": Markup("") if shown is None else draw_interval(shown, between, limit, unit),
         "formula": _formula(test),
-        "seeds": f"{test['agreeing']} of {test['seeds']}" if was_tested(test) else "",
+        "seeds": f"{test['agreeing']} of {test['seeds']}" if was_tested(test) and test["seeds"] else "",
         "one_lap": ", ".join(map(_words, test["one_lap"])),
     }
 

@@ -70,11 +70,15 @@ class Comparison:
             raise ConfigError("a test compares arms: give either contrast or slope, a mapping from arms to numbers")
         if len(self.limit) != 1:
             raise ConfigError("a test has one limit: above, below or within")
+        ((side, limit),) = self.limit.items()
+        bounds.number(side, limit, -1e6, 1e6)
         for where, numbers in (("contrast", self.contrast), ("slope", self.slope)):
             if not isinstance(numbers, Mapping):
                 raise ConfigError(f"{where} = {numbers}: a mapping from arms to numbers is expected")
             for arm, number in numbers.items():
                 bounds.number(f"{where}.{arm}", number, -1e6, 1e6)
+        if self.slope and len(set(self.slope.values())) < 2:
+            raise ConfigError(f"slope = {dict(self.slope)}: two different numbers at least are needed")
 
     @property
     def weights(self) -> dict[str, float]:
@@ -150,6 +154,8 @@ def read_sweeps(name: str) -> list[Sweep]:
         if key not in LISTING:
             raise ConfigError(f"sweeps/{name}.yaml: unknown key '{key}'{suggest(key, LISTING)}")
     listed, twins = _words(name, "sweeps", content["sweeps"]), tuple(_words(name, "twins", content.get("twins", [])))
+    if not listed:
+        raise ConfigError(f"sweeps/{name}.yaml: sweeps = []: one at least is needed")
     sweeps = [_sweep(each, read_yaml(_path(each))) for each in listed]
     return [replace(sweep, twins=twins or sweep.twins) for sweep in sweeps]
 
@@ -172,14 +178,15 @@ def _sweep(name: str, content: Mapping[str, Any]) -> Sweep:
     arms = content["arms"]
     if not isinstance(arms, Mapping) or not arms:
         raise ConfigError(f"sweeps/{name}.yaml: arms is a mapping from names to words for racerl train")
-    if content.get("cars") == []:
-        raise ConfigError(f"sweeps/{name}.yaml: cars = []: one at least is needed")
+    for key in ("cars", "seeds"):
+        if content.get(key) == []:
+            raise ConfigError(f"sweeps/{name}.yaml: {key} = []: one at least is needed")
     sweep = Sweep(
         name=name,
         question=str(content["question"]),
         base=tuple(_words(name, "base", content["base"])),
         arms={str(arm): tuple(_words(name, f"arms.{arm}", words)) for arm, words in arms.items()},
-        seeds=tuple(bounds.wholes("seeds", content["seeds"], 0, 2**31 - 1)),
+        seeds=tuple(bounds.wholes(f"sweeps/{name}.yaml: seeds", content["seeds"], 0, 2**31 - 1)),
         metrics=tuple(_words(name, "metrics", content["metrics"])),
         claims=tuple(_claims(name, content.get("claims") or {})),
         cars=tuple(_words(name, "cars", content.get("cars", [MODEL, TWIN]))),
@@ -191,14 +198,20 @@ def _sweep(name: str, content: Mapping[str, Any]) -> Sweep:
     for claim in sweep.claims:
         for arm in sorted(set().union(*(test.arms for test in claim.tests)) - set(sweep.arms)):
             raise ConfigError(f"sweeps/{name}.yaml: claim {claim.number}: no arm '{arm}'{suggest(arm, sweep.arms)}")
+        for car in sorted({test.car for test in claim.tests} - {TWIN, *sweep.cars}):
+            raise ConfigError(f"sweeps/{name}.yaml: claim {claim.number}: no car '{car}'{suggest(car, sweep.cars)}")
     return sweep
 
 
-def _claims(name: str, content: Mapping[Any, Any]) -> Iterator[Claim]:
+def _claims(name: str, content: Any) -> Iterator[Claim]:
+    if not isinstance(content, Mapping):
+        raise ConfigError(f"sweeps/{name}.yaml: claims is a mapping from the paper's numbers to says and tests")
     for number, claim in content.items():
         where = f"sweeps/{name}.yaml: claims.{number}"
-        if not isinstance(claim, Mapping) or set(claim) != {"says", "tests"} or not claim["tests"]:
+        if not isinstance(claim, Mapping) or set(claim) != {"says", "tests"}:
             raise ConfigError(f"{where}: says and tests are expected")
+        if not isinstance(claim["tests"], list) or not claim["tests"]:
+            raise ConfigError(f"{where}: tests is a list of one or more")
         tests = tuple(construct(Comparison, test, where) for test in claim["tests"])
         yield Claim(bounds.whole(f"{where}: number", number, 1, 1000), str(claim["says"]), tests)
 

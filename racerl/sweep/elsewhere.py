@@ -15,7 +15,7 @@ import pandas as pd
 from racerl.documents import read_json
 from racerl.errors import ConfigError, DocumentError, RunError
 from racerl.run import RunFolder, config_hash
-from racerl.sweep.jobs import Plan
+from racerl.sweep.jobs import Plan, identity
 from racerl.sweep.tables import KEY, LAPS, LEARNING, RESULTS, STEERING, TRAININGS, read_table
 
 SAME = ("laps", "starts")  # settings that laps are comparable by
@@ -60,11 +60,6 @@ class Elsewhere:
 def _entire(planned: Plan, keys: Collection[Key]) -> set[str]:
     """Return the names of the jobs of which no arm is missing."""
     return {job.name for job in planned.jobs} - {job.name for key, job in planned.of.items() if key not in keys}
-
-
-def identity(name: str) -> str:
-    """Return the hash at the end of a job's name; in front stands the arm that came first."""
-    return name.rpartition("-")[2]
 
 
 def raced(planned: Plan) -> dict[str, str]:

@@ -43,7 +43,6 @@ class Status:
 
     job: Job
     kind: str
-    tries: int
     told: Mapping[str, Any]
 
 
@@ -115,7 +114,7 @@ class Engine:
                         (waiting if again else failed).insert(0, slot.job)
                     shutil.rmtree(slot.folder, ignore_errors=True)
                 running = [slot.job for slot in slots]
-                on_status([self._status(job, tries[job.name], running, waiting, failed) for job in jobs])
+                on_status([self._status(job, running, waiting, failed) for job in jobs])
         finally:
             # those on this machine end by themselves once the folder is let go
             for slot in slots if self.kind == "slurm" else ():
@@ -146,16 +145,14 @@ class Engine:
         """Keep what a job that failed has printed."""
         write_text(self.folder / LOGS / f"{slot.job.path.name}.log", slot.handle.stdout() or "")
 
-    def _status(
-        self, job: Job, tries: int, running: Sequence[Job], waiting: Sequence[Job], failed: Sequence[Job]
-    ) -> Status:
+    def _status(self, job: Job, running: Sequence[Job], waiting: Sequence[Job], failed: Sequence[Job]) -> Status:
         where = {"running": running, "waiting": waiting, "failed": failed}
         kind = next((kind for kind, jobs in where.items() if job in jobs), "done")
         try:
             told = read_json(job.path / STATE) if kind == "running" else {}
         except DocumentError:
             told = {}
-        return Status(job, kind, tries, told)
+        return Status(job, kind, told)
 
     def last_words(self, job: Job) -> str:
         """Return the last line that a job printed."""

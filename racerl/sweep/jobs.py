@@ -102,18 +102,23 @@ def plan(sweeps: Sequence[Sweep], settings: Mapping[str, Any], out: Path, compos
     of = {}
     for sweep in sweeps:
         for arm, words in sweep.arms.items():
-            rival = any(word.partition("=")[0] in STAGES for word in words)
+            rival = any(_key(word) in STAGES for word in words)
             for seed in [UNTRAINED] if rival else settings["seeds"] or sweep.seeds:
                 if rival:
                     job = _rival(arm, [*sweep.base, *map(str, settings["words"])], words, settings, out, compose)
                 else:
                     job = _training(arm, [*sweep.base, *words], seed, settings, out, compose)
-                identity = job.path.name.rpartition("-")[2]
-                if identity not in jobs:
+                own = identity(job.path.name)
+                if own not in jobs:
                     taken = any(known.name == job.name for known in jobs.values())  # by an arm of another sweep
-                    jobs[identity] = replace(job, name=job.path.name) if taken else job
-                of[sweep.name, arm, seed] = jobs[identity]
+                    jobs[own] = replace(job, name=job.path.name) if taken else job
+                of[sweep.name, arm, seed] = jobs[own]
     return Plan(sweeps, _in_order(jobs.values()), of)
+
+
+def identity(name: str) -> str:
+    """Return the hash at the end of the name of a job's folder; in front stands the arm that came first."""
+    return name.rpartition("-")[2]
 
 
 def _in_order(jobs: Collection[Job]) -> list[Job]:

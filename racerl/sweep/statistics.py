@@ -91,7 +91,7 @@ def resample(laps: pd.DataFrame, rewards: pd.DataFrame, generator: np.random.Gen
         laps = np.concatenate(parts) if parts else np.zeros((0, len(MEASURES)))
         return {**_metrics(laps), **{name: float(learned[arm, seed][name]) for name in OF_TRAINING}}
 
-    of = {arm: [seed for seed in (UNTRAINED, *seeds) if (arm, seed) in learned] for arm in arms}
+    of = {arm: [seed for seed in sorted({UNTRAINED, *seeds}) if (arm, seed) in learned] for arm in arms}
     per_seed = {arm: _table([metrics(arm, seed) for seed in of[arm]]) for arm in arms}
     rows: dict[str, list[dict[str, float]]] = {arm: [] for arm in arms}
     for _ in range(RESAMPLES):
@@ -149,7 +149,7 @@ def judge(claim: Claim, sweep: Sweep, samples: Mapping[str, Samples], trial: boo
 
     Trainings of a trial budget show effects, but have no verdict (None).
     """
-    tests = [_test(test, sweep, samples) for test in claim.tests]
+    tests = [_test(test, samples) for test in claim.tests]
     if trial:
         tests = [{**test, "holds": None, "why": test["why"] if test["effect"] is None else TRIAL} for test in tests]
     verdict, why = (None, TRIAL) if trial else weigh(tests)
@@ -213,7 +213,8 @@ def power(trainings: int) -> str:
     return f"about {trainings} trainings would tell" if trainings <= MANY else f"it takes more than {MANY} trainings"
 
 
-def _test(test: Comparison, sweep: Sweep, samples: Mapping[str, Samples]) -> dict[str, Any]:
+def _test(test: Comparison, samples: Mapping[str, Samples]) -> dict[str, Any]:
+    """Return a test's effect, its interval, whether it holds, and what stood in the way."""
     facts: dict[str, Any] = {
         "metric": test.metric,
         "car": test.car,
@@ -235,18 +236,23 @@ def _test(test: Comparison, sweep: Sweep, samples: Mapping[str, Samples]) -> dic
     if absent:
         return {**facts, "why": f"{_listed(absent)} {'has' if len(absent) == 1 else 'have'} not been driven"}
     mine = samples[test.car]
-    effect = contrast(test, {arm: np.array([mine.value(arm, test.metric)]) for arm in test.arms})[0]
-    interval = spread(contrast(test, {arm: mine.resampled[arm][test.metric] for arm in test.arms}))
-    facts["seeds"] = len(mine.seeds)
     values = {arm: mine.per_seed[arm][test.metric] for arm in sorted(test.arms)}
     lacking = [arm for arm, each in values.items() if np.isnan(each).any() or np.isinf(each).all()]
     if lacking:
         return {**facts, "why": f"{METRICS[test.metric].name}: none for {_listed(lacking)}"}
+    if test.relative_to and not mine.value(test.relative_to, test.metric):
+        return {
+            **facts,
+            "why": f"{METRICS[test.metric].name}: 0 for {_listed([test.relative_to])}, nothing to divide by",
+        }
+    effect = contrast(test, {arm: np.array([mine.value(arm, test.metric)]) for arm in test.arms})[0]
+    interval = spread(contrast(test, {arm: mine.resampled[arm][test.metric] for arm in test.arms}))
     single = contrast(test, mine.shared(test.arms, test.metric))
+    trainings = mine.trainings(test.arms)
+    facts["seeds"] = 0 if trainings is None else len(single)
     facts["one_lap"] = sorted(arm for arm in test.arms if mine.laps[arm] == 1)  # taken as if it were exact
     facts["agreeing"] = sum(test.holds(float(value), float(value)) is True for value in single)
     facts["lapless"] = [arm for arm, each in values.items() if np.isinf(each).any()]
-    trainings = mine.trainings(test.arms)
     why = obstacle(interval, trainings)
     holds = None if why or interval is None else test.holds(*interval)
     if why and trainings != 1:

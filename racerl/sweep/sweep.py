@@ -100,6 +100,8 @@ def check(settings: Mapping[str, Any]) -> None:
         bounds.whole("laps", settings["laps"], 1, 10_000)
     for key in ("seeds", "starts"):
         bounds.wholes(key, settings[key], 0, 2**31 - 1)
+    if not settings["starts"]:
+        raise ConfigError("starts = []: one at least is needed")
     also = settings.get("also", [])
     if not isinstance(also, list) or not all(isinstance(folder, str) for folder in also):
         raise ConfigError(f"also = {also}: a list of sweeps' folders is expected")
@@ -121,7 +123,7 @@ def summarise(
     there = elsewhere.has(planned)
     tables = gather(planned, settings["laps"], elsewhere.tables)
     for name, table in tables.items():
-        if not table.empty:
+        if name in (LAPS, TRAININGS) or not table.empty:
             write_text(out / name, table.to_csv(index=False, float_format="%.6g"))
     facts = {
         **results(

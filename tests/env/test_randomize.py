@@ -118,6 +118,11 @@ def test_wrong_randomization_is_refused(override, said):
         make("dr=friction_0.02", override)
 
 
+def test_a_misspelt_parameter_is_refused_though_nothing_is_spread():
+    with pytest.raises(ConfigError, match="did you mean friction"):
+        make("dr=friction_0.02", "dr.sigma=0", "dr.parameters=[fricton]")
+
+
 @pytest.mark.parametrize("each_lap", [False, True])
 def test_a_car_may_change_from_lap_to_lap(each_lap):
     race = make("dr=friction_0.1", f"+dr.each_lap={each_lap}", cars=4)

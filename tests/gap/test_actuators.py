@@ -36,6 +36,17 @@ def test_scale_offset_sign_and_delay_are_told():
     )
 
 
+def test_a_run_whose_command_never_changes_tells_no_delay():
+    rows = [
+        pd.DataFrame({"delta_ref": command, "delta": late(command, 5), "omega": 1.0, "run": run})
+        for run, command in enumerate([np.full(4000, 0.1), np.repeat([-0.3, 0.1, 0.3, 0.0, 0.2] * 4, 100)])
+    ]
+    table = pd.concat(rows, ignore_index=True)
+    table["t"], table["delta"] = DT * np.arange(len(table)), table["delta"] + 1e-4 * np.sin(np.arange(len(table)))
+    evidence = {"steering": Evidence.of([Log.from_table("made", table)], STEERING, 85, 0.5)}
+    assert actuators(evidence)["steering"]["lag"] == pytest.approx(0.05, abs=0.5 * DT)
+
+
 def test_a_limit_bends_the_response_and_leaves_the_line():
     clipped = steps(lambda command: np.clip(command, -0.25, 0.25), levels=(-0.2, 0.1, 0.3, 0.0, 0.2, -0.1))
     told = actuators(clipped)["steering"]

@@ -234,6 +234,8 @@ def test_without_a_log_the_plan_is_that_of_the_programme(tmp_path, monkeypatch):
         ({"folds": True}, "folds = True"),
         ({"slowest": -1.0}, "slowest"),
         ({"without": ["steering_dely"]}, "did you mean steering_delay"),
+        ({"without": None}, "without = None: a list of effects"),
+        ({"hold": 3}, "hold = 3: a list of parameters"),
     ],
 )
 def test_settings_out_of_range_are_refused_before_anything_is_written(clean, tmp_path, changes, message):
@@ -290,6 +292,8 @@ def test_places_are_where_errors_grow(clean):
     errors[:, 2] += 0.2 * np.cumsum(near, axis=0) / 10.0
     ((a, b),) = places(evidence, errors, np.full(3, 0.01), 1.5, 1)
     assert np.hypot(a - x, b - y) < 1.0
+    several = places(evidence, errors, np.full(3, 0.01), 1.5, 1000)  # more than there is room for
+    assert several[0] == (a, b) and 1 < len(several) < 50
 
 
 def test_rivals_explain_as_much_for_their_parameters():
@@ -533,6 +537,12 @@ def test_what_has_a_place_needs_a_pose():
     )
     assert not without.keys() & {"friction_fade", "tyre_heating", "yaw_damping", "lever_arm"}
     assert "road_bank" not in _untestable({}, {"x", "y", "yaw", "delta", "omega"})
+
+
+def test_what_a_stage_lacks_is_told():
+    without = _untestable({}, {"v_x", "yaw_rate", "delta_ref", "omega_ref"})
+    assert without["steering"].startswith("needs delta_ref and delta over")  # no wheel speed
+    assert "one of x, y, yaw, v_x, v_y, yaw_rate" in without["chassis"]
 
 
 def test_the_next_manoeuvre_is_what_would_decide():

@@ -4,9 +4,10 @@ import json
 import re
 import shutil
 
+import pandas as pd
 import pytest
 
-from racerl.errors import RunError
+from racerl.errors import ConfigError, RunError
 from racerl.report.report import report
 from racerl.report.subjects import find_subjects
 from racerl.run import RunFolder
@@ -19,8 +20,6 @@ def raced(smoke_run, smoke_evaluation, tmp_path):
     shutil.copytree(smoke_run.parent.parent, outputs)
     path = outputs / "evaluate" / "smoke" / "metrics.json"
     metrics = json.loads(path.read_text())
-    import pandas as pd
-
     drive = pd.read_parquet(path.parent / "trajectories.parquet")
     first = drive["seed"] == 0
     drive.loc[first, "lap"] = 1
@@ -98,6 +97,26 @@ def test_incomplete_runs_are_left_out(raced, tmp_path):
     with pytest.raises(RunError, match="not complete"):
         report({"runs": [str(raced / "train" / "smoke")]}, tmp_path / "report", raced)
     assert not (tmp_path / "report").exists()
+
+
+@pytest.mark.parametrize("runs", [None, 3, [3]])
+def test_runs_of_another_type_are_told(raced, tmp_path, runs):
+    with pytest.raises(ConfigError, match="a list of run folders"):
+        report({"runs": runs}, tmp_path / "report", raced)
+
+
+def test_a_run_that_holds_no_laps_is_told(raced, tmp_path):
+    RunFolder.start(raced / "gap" / "a", "gap", {}).finish()
+    for others in ([], [str(raced / "train" / "smoke")]):
+        with pytest.raises(RunError, match="gap/a: is a run of racerl gap, which holds no laps"):
+            report({"runs": [*others, str(raced / "gap" / "a")]}, tmp_path / "report", raced)
+
+
+def test_a_drive_without_its_steering_is_named(raced, tmp_path):
+    path = raced / "evaluate" / "smoke" / "trajectories.parquet"
+    pd.read_parquet(path).drop(columns="delta").to_parquet(path)
+    with pytest.raises(RunError, match="delta missing"):
+        report({"runs": []}, tmp_path / "report", raced)
 
 
 @pytest.mark.parametrize(

@@ -29,6 +29,13 @@ def test_the_ablations_are_the_papers(tmp_path):
     assert rivals == {"mpc", "pure_pursuit", "optimum", "human", "human_like"}
 
 
+def test_a_driver_is_no_training_however_its_word_is_given(tmp_path, monkeypatch):
+    write(tmp_path, monkeypatch, arms={"a": [], "b": ["+controller=mpc"]})
+    settings = {"words": [], "threads": 1, "seeds": [0, 1], "laps": 1, "starts": [0], "cars": ["model"]}
+    jobs = plan(read_sweeps("mine"), settings, tmp_path, compose_settings).jobs
+    assert [job.name for job in jobs if job.train is None] == ["b"] and len(jobs) == 3
+
+
 @pytest.mark.parametrize("budget, steps", [("smoke", 2048), ("laptop", None), ("paper", None)])
 def test_a_trial_is_known_by_its_budget(tmp_path, budget, steps):
     settings = {"words": [f"budget={budget}"], "threads": 1, "seeds": [0], "laps": 1, "starts": [0], "cars": ["model"]}
@@ -72,6 +79,9 @@ def test_a_sweep_names_its_cars_and_a_list_of_sweeps_may_name_their_twins(tmp_pa
     listing.write_text("sweeps: [mine]\ntwin: [twin_double]\n")
     with pytest.raises(RacerlError, match=r"unknown key 'twin'.*twins"):
         read_sweeps("all")
+    listing.write_text("sweeps: []\n")
+    with pytest.raises(RacerlError, match=r"sweeps = \[\]: one at least"):
+        read_sweeps("all")
 
 
 def claiming(**test):
@@ -93,7 +103,13 @@ def claiming(**test):
         ({"claims": claiming(slope={"a": 1})}, "either contrast or slope"),
         ({"claims": claiming(unter=1)}, "no setting 'unter'"),
         ({"claims": {1: {"says": "so"}}}, "says and tests"),
+        ({"claims": claiming(contrast={}, slope={"a": 1, "b": 1})}, "two different numbers"),
+        ({"claims": claiming(above="zero")}, "above = zero"),
+        ({"claims": claiming(car="twn")}, "no car 'twn'.*twin"),
+        ({"claims": [1]}, "claims is a mapping"),
+        ({"claims": {1: {"says": "so", "tests": 3}}}, "tests is a list"),
         ({"cars": []}, "one at least"),
+        ({"seeds": []}, "seeds = .*one at least"),
         ({"twins": "twin_half"}, "list of words"),
     ],
 )

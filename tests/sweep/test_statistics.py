@@ -150,6 +150,25 @@ def test_the_least_trained_arm_counts_and_what_is_not_trained_does_not():
     assert verdict(SLOWER, *mixed)["verdict"] == "supported"
 
 
+def test_trainings_that_agree_are_counted_among_those_that_can():
+    laps, trainings = driven({"a": 5.5, "b": 5.7})
+    assert verdict(SLOWER, laps, trainings)["tests"][0]["seeds"] == 3
+    kept = (laps["arm"] == "a") | (laps["seed"] > 0), (trainings["arm"] == "a") | (trainings["seed"] > 0)
+    assert verdict(SLOWER, laps[kept[0]], trainings[kept[1]])["tests"][0]["seeds"] == 2
+    first = laps["seed"] == 0, trainings["seed"] == 0
+    untrained = laps[first[0]].assign(seed=UNTRAINED), trainings[first[1]].assign(seed=UNTRAINED)
+    assert verdict(SLOWER, *untrained)["tests"][0]["seeds"] == 0
+
+
+def test_nothing_is_divided_by_an_arm_that_has_none_of_it():
+    laps, trainings = driven({"a": 5.5, "b": 5.7})
+    laps.loc[laps["arm"] == "a", "e_off"] = 0.0
+    worse = Comparison(metric="e_off", contrast={"b": 1.0, "a": -1.0}, relative_to="a", above=0.1)
+    test = verdict(worse, laps, trainings)["tests"][0]
+    assert test["effect"] is None and test["why"] == "E_off: 0 for a, nothing to divide by"
+    json.dumps(test, allow_nan=False)
+
+
 @pytest.mark.parametrize("difference", [0.2, -0.2])
 def test_an_interval_without_width_decides_nothing(difference):
     found = verdict(SLOWER, *driven({"a": 5.5, "b": 5.5 + difference}, seed_spread=0.0, lap_spread=0.0))

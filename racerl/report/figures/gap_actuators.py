@@ -29,7 +29,8 @@ def draw(actuators: Mapping[str, Mapping[str, Any]], units: Mapping[str, str]) -
             sign = "−" if row["offset"] < 0.0 else "+"
             line = f"{row['scale']:.3f} × command {sign} {abs(row['offset']):.3f} {units[shown]}"
             axis.plot(ends, [row["scale"] * end + row["offset"] for end in ends], color=COLOURS[1], label=line)
-            axis.set_title(f"{name}, {row['lag']:.2f} s behind", fontsize=10)
+            behind = "" if row["lag"] is None else f", {row['lag']:.2f} s behind"
+            axis.set_title(f"{name}{behind}", fontsize=10)
             axis.legend(loc="upper left", fontsize=9)
         for axis in axes[len(actuators) :]:
             axis.set_visible(False)
