@@ -54,6 +54,10 @@ PATHS = {  # positional keys that name files or folders, and what is allowed
     "runs": "finished runs",
     "drivers": "finished evaluate, drive or train runs, paper:rl or paper:human",
 }
+PARTS = {  # commands of two words, by the second, that a word beside such a key may be meant for
+    "logs": {"close": "gap close", "plan": "gap plan"},
+    "runs": {"compare": "report compare"},
+}
 POSTERIOR = "posterior:"  # in front of a run, as dr=posterior:RUN
 PAPER = "paper:"  # in place of a path: the paper's own laps
 VALUED = ("--cfg", "-c", "--info", "-i", "--package", "-p", "--config-dir", "-cd", "--config-name", "-cn")
@@ -338,7 +342,9 @@ def _require_cars(run: str) -> None:
 def _bare_override(positional: str, bare: list[str]) -> str:
     for word in bare:
         if positional in PATHS and not word.startswith(PAPER) and not _there(word):
-            raise ConfigError(f"{word}: no such file or folder in {Path.cwd()}; allowed are {PATHS[positional]}")
+            near = difflib.get_close_matches(word, PARTS.get(positional, ()), n=1, cutoff=0.75)
+            meant = f"; did you mean racerl {PARTS[positional][near[0]]}?" if near else ""
+            raise ConfigError(f"{word}: no such file or folder in {Path.cwd()}; allowed are {PATHS[positional]}{meant}")
     if positional.endswith("s"):
         return f"{positional}=[{','.join(quote(word) for word in bare)}]"
     if len(bare) > 1:
@@ -456,7 +462,9 @@ def _translate(command: str, error: Exception) -> ConfigError:
     """Return Hydra's complaint as one line with the near choices."""
     if isinstance(error, MissingConfigException) and error.missing_cfg_file:
         group, _, choice = error.missing_cfg_file.rpartition("/")
-        return ConfigError(f"unknown {group or 'config'} '{choice}'{suggest(choice, error.options or [])}")
+        known = choices(group) if group else error.options or []
+        made = "; racerl track add gives one of your own a name" if group == "track" else ""
+        return ConfigError(f"unknown {group or 'config'} '{choice}'{suggest(choice, known)}{made}")
     if isinstance(error, OverrideParseException):
         return ConfigError(f"cannot read '{error.override}'; write key=value, with quotes around special characters")
     text = " ".join(str(error).split())
@@ -488,8 +496,11 @@ def _unknown_key(command: str, key: str, known: Collection[str]) -> ConfigError:
         known = choices("vehicle/effect")
         if effect[1] and effect[1] not in known:
             return ConfigError(f"unknown effect '{effect[1]}'{suggest(effect[1], known)}")
-        name = effect[1] or "NAME"
-        told = f"an effect is added by +vehicle/effect={name}, and racerl effects {name} has its parameters"
+        last = key.rpartition(".")[2]
+        name, told = effect[1] or "NAME", ""
+        if effect[1] and last not in (effect[1], *(own := read_choice("vehicle/effect", effect[1]))):
+            told = f"{name} has no '{last}'{suggest(last, own)}; "
+        told += f"an effect is added by +vehicle/effect={name}, and racerl effects {name} has its parameters"
         return ConfigError(f"unknown key '{key}': {told}")
     if "." in key and optional_groups(command) & {group}:
         return ConfigError(f"unknown key '{key}' while {group} is the run's; give {group}=NAME or FILE with it")

@@ -215,6 +215,12 @@ def test_a_handed_configuration_cannot_run_code(tmp_path, monkeypatch, text, sai
         (["vehicle.effects.aero_drag.area=0.1"], "an effect is added by +vehicle/effect=aero_drag"),
         (["vehicle.friction=0,5"], "a decimal has a point, 0.5"),
         (["vehicle.effects.aero_drug.area=0.1"], "unknown effect 'aero_drug'; did you mean aero_drag"),
+        (
+            ["+vehicle/effect=aero_drag", "vehicle.effects.aero_drag.coef=0.2"],
+            "aero_drag has no 'coef'; choose from: coefficient",
+        ),
+        (["+vehicle/effect=[aero_drag,back_enf]"], "unknown vehicle/effect 'back_enf'; did you mean back_emf"),
+        (["track=spa"], "technical; racerl track add gives one of your own a name"),
         (["budget.actor=64,64"], "a list is budget.actor=[64,64]"),
         (["dr.parameters=mass,friction"], "a list is dr.parameters=[mass,friction]"),
         (["tracking=wandb"], "unknown tracking 'wandb'; choose from: trackio"),
@@ -240,6 +246,16 @@ def test_a_folder_is_no_file_and_a_file_no_folder_of_logs(tmp_path, monkeypatch)
     assert seen == [3]
     with pytest.raises(ConfigError, match=r"car\.yaml: is a folder"):
         run_command("gap", ["drive.csv", "vehicle=car.yaml"], print, "logs")
+
+
+def test_a_second_word_that_is_misspelt_is_no_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for command, words, positional, meant in (
+        ("gap", ["clsoe", "log.csv"], "logs", "gap close"),
+        ("report", ["comprae", "a", "b"], "runs", "report compare"),
+    ):
+        with pytest.raises(ConfigError, match=f"{words[0]}: no such file.*did you mean racerl {meant}"):
+            run_command(command, words, print, positional)
 
 
 def test_a_word_may_be_longer_than_a_file_name(tmp_path, monkeypatch):

@@ -115,6 +115,8 @@ def _storage_files(path: Path, stack: contextlib.ExitStack) -> list[Path]:
         _check_metadata(path, folder)
     else:
         files = [folder]
+    if not files and (tables := sorted(path.glob("*.parquet"))):
+        raise LogError(f"{path}: is a folder without .db3 or .mcap files; give the log in it, as {tables[0]}")
     if not 1 <= len(files) <= MAX_FILES:
         raise LogError(f"{path}: holds {len(files)} .db3 or .mcap files; a bag has 1 … {MAX_FILES}")
     size = sum(file.stat().st_size for file in files)

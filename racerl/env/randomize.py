@@ -51,6 +51,9 @@ class Randomization:
             raise ConfigError(f"dr.cars = {self.cars!r}: a run folder is expected, as in dr=posterior:RUN")
         if not isinstance(self.parameters, list | tuple) or not all(isinstance(name, str) for name in self.parameters):
             raise ConfigError(f"dr.parameters = {self.parameters}: a list of parameter names or patterns is expected")
+        if self.sigma > 0 and not self.parameters:
+            cure = f"dr.parameters=[friction], or dr=friction_0.02 dr.sigma={self.sigma:g}"
+            raise ConfigError(f"dr.sigma = {self.sigma}: no parameter is to spread by that; give {cure}")
 
     def names(self, vehicle: Vehicle) -> list[str]:
         """Return the dotted names that the patterns stand for; raise ConfigError when one matches nothing."""

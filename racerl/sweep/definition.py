@@ -164,7 +164,7 @@ def _path(name: str) -> Path:
     for place in (Path("sweeps"), folder()):
         if Path(name).name == name and (place / f"{name}.yaml").is_file():
             return place / f"{name}.yaml"
-    raise ConfigError(f"unknown sweep '{name}'{suggest(name, names())}")
+    raise ConfigError(f"unknown sweep '{name}'{suggest(name, names())}; one of your own is sweeps/NAME.yaml")
 
 
 def _sweep(name: str, content: Mapping[str, Any]) -> Sweep:

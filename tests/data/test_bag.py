@@ -98,6 +98,9 @@ def test_empty_and_foreign_places(tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(LogError, match=r"0 \.db3 or \.mcap"):
         load(tmp_path / "empty")
+    (tmp_path / "empty" / "log.parquet").touch()
+    with pytest.raises(LogError, match=r"give the log in it, as .*empty/log\.parquet"):
+        load(tmp_path / "empty")
     sqlite3.connect(tmp_path / "other.db3").execute("create table a (b)").connection.commit()
     with pytest.raises(LogError, match="damaged"):
         load(tmp_path / "other.db3")

@@ -118,6 +118,11 @@ def test_wrong_randomization_is_refused(override, said):
         make("dr=friction_0.02", override)
 
 
+def test_a_spread_of_nothing_is_refused():
+    with pytest.raises(ConfigError, match=r"no parameter is to spread.*dr=friction_0.02 dr.sigma=0.03"):
+        make("dr.sigma=0.03")
+
+
 def test_a_misspelt_parameter_is_refused_though_nothing_is_spread():
     with pytest.raises(ConfigError, match="did you mean friction"):
         make("dr=friction_0.02", "dr.sigma=0", "dr.parameters=[fricton]")

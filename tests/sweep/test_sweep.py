@@ -213,6 +213,8 @@ def test_a_job_that_is_asked_to_end_has_not_failed(place):
         (["threads=0"], "threads = 0"),
         (["engine=cloud"], "unknown engine 'cloud'"),
         (["engine.jobs=0"], "engine.jobs = 0"),
+        (["words=['seed=1']"], "a sweep has several; give seeds="),
+        (["starts=[]"], "starts = .*one at least"),
         (["engine.retries=-1"], "engine.retries = -1"),
         (["seeds=[x]"], "seeds = x"),
         (["cars=[truck]"], "unknown car 'truck'"),
