@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from racerl.estimation.unknowns import Unknown
 from racerl.gap.candidates import unfitted
-from racerl.gap.comparison import ALL, CLEAR, REAL, WORTH, Judge, total, wild
+from racerl.gap.comparison import ALL, CLEAR, FOREIGN, REAL, WORTH, Judge, total, wild
 from racerl.gap.configurable import NUMBERS
 from racerl.gap.cross_validation import held_out
 from racerl.gap.fit_data import sampled
@@ -113,14 +113,15 @@ def _confirmed(gap: "_Gap", few: Numbers) -> tuple[Numbers, Numbers | None]:
 def _left_alone(gap: "_Gap", few: Numbers, around: Numbers) -> Numbers:
     """Return a refit that leaves the numbers of body and actuators where they were, at least those it does not know.
 
-    On circles yaw inertia takes up what the tyres' formula leaves: what moving it explains must be worth telling of.
+    On circles yaw inertia takes up what the tyres' formula leaves: what moving it explains must be worth telling of, or
+    more than another formula leaves.
     """
     was, ranges = few.found.theta, intervals(gap.investigation, around.found)
     moved = [name for name in ALONE if name in ranges and abs(ranges[name][0] / was[name] - 1.0) > SLIGHT]
     unknown = [name for name in moved if ranges[name][1] <= was[name] <= ranges[name][2]]
     for names in dict.fromkeys((tuple(moved), tuple(unknown))):
         still = gap.held_out(_refitted(gap, few, names)) if names else around
-        if gap.gain(still, around, gap.open) <= WORTH or not any(gap.gains(still, around, [s]) for s in gap.open):
+        if gap.slight(still, around):
             return still
     return around
 
@@ -245,6 +246,14 @@ class _Gap:
         """Return whether what one fit explains more is enough to tell of: of the gap, or of what is left of it."""
         share = self.gain(few, more, stages)
         return self.gains(few, more, stages) and (share > WORTH or share > ALL * self.share(few.cost, stages))
+
+    def slight(self, few: Numbers, more: Numbers) -> bool:
+        """Return whether what one fit explains more than another is too little for a number to move."""
+        if not any(self.gains(few, more, [stage]) for stage in self.open):
+            return True
+        floor = self.investigation.floor
+        foreign = any(self.fall(few, more, stage) > FOREIGN * floor[stage] for stage in self.open)
+        return not foreign and self.gain(few, more, self.open) <= WORTH
 
     @property
     def unchanged(self) -> Numbers:

@@ -149,15 +149,16 @@ def test_grip_is_what_the_tyres_give_whichever_coefficient_has_it():
 
 
 @pytest.mark.parametrize(
-    ("gains", "held"),
+    ("gains", "excess", "held"),
     [
-        ({}, ["yaw_inertia", "l_f"]),
-        ({"yaw_inertia+l_f": 0.02}, ["yaw_inertia", "l_f"]),  # clear, but not worth telling of
-        ({"yaw_inertia+l_f": 0.1}, ["yaw_inertia"]),  # what the refit knows may move
-        ({"yaw_inertia+l_f": 0.1, "yaw_inertia": 0.1}, []),
+        ({}, 5.0, ["yaw_inertia", "l_f"]),
+        ({"yaw_inertia+l_f": 0.02}, 4.0, ["yaw_inertia", "l_f"]),  # clear, but not worth telling of
+        ({"yaw_inertia+l_f": 0.1}, 0.5, ["yaw_inertia"]),  # what the refit knows may move
+        ({"yaw_inertia+l_f": 0.1, "yaw_inertia": 0.1}, 0.5, []),
+        ({"yaw_inertia+l_f": 0.02}, 20.0, ["yaw_inertia"]),  # little of a large gap, but more than other formulas leave
     ],
 )
-def test_body_and_actuators_stay_where_they_were_unless_held_out_windows_ask_for_more(monkeypatch, gains, held):
+def test_body_and_actuators_stay_where_they_were_unless_held_out_windows_ask_for_more(monkeypatch, gains, excess, held):
     few = SimpleNamespace(found=SimpleNamespace(theta={"yaw_inertia": 0.12, "l_f": 0.16, "drive.time_constant": 0.04}))
     ranges = {
         "yaw_inertia": (0.10, 0.08, 0.13),
@@ -167,12 +168,14 @@ def test_body_and_actuators_stay_where_they_were_unless_held_out_windows_ask_for
     monkeypatch.setattr(numbers_module, "intervals", lambda *_: ranges)
     monkeypatch.setattr(numbers_module, "_refitted", lambda gap, few, names: "+".join(names))
     gap = SimpleNamespace(
-        investigation=None,
+        investigation=SimpleNamespace(floor={"chassis": 1.0}),
         open=["chassis"],
         held_out=lambda found: found,
         gains=lambda still, *_: still in gains,
         gain=lambda still, *_: gains.get(still, 0.0),
+        fall=lambda still, *_: excess * gains.get(still, 0.0),
     )
+    gap.slight = lambda *fits: numbers_module._Gap.slight(gap, *fits)
     around = SimpleNamespace(found=None)
     assert numbers_module._left_alone(gap, few, around) == ("+".join(held) or around)
 
