@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from racerl.estimation.unknowns import Unknown
 from racerl.gap.candidates import unfitted
-from racerl.gap.comparison import ALL, CLEAR, FOREIGN, REAL, WORTH, Judge, total, wild
+from racerl.gap.comparison import ALL, CLEAR, FOREIGN, MOST, REAL, WORTH, Judge, total, wild
 from racerl.gap.configurable import NUMBERS
 from racerl.gap.cross_validation import held_out
 from racerl.gap.fit_data import sampled
@@ -33,7 +33,7 @@ SPREAD = 0.5  # deviation of a number's prior, as a share of it: no more than a 
 REACH = 2.5  # times what was configured, or its inverse: what runs further is something else in disguise
 ALL_PEAKS = ("front.p_Dx1", "front.p_Dy1", "rear.p_Dx1", "rear.p_Dy1")
 BACK = 0.5  # share of its change that a refit may take back of a number that is told
-MOST = 4  # numbers; a car that differs in more is another car
+SEVERAL = 4  # numbers at most; a car that differs in more is another car
 ALONE = ("yaw_inertia", "l_f", "steering.time_constant", "drive.time_constant")  # numbers that are not the tyres'
 SLIGHT = 0.02  # share by which a refit may move such a number without being asked for
 STEPS, FULLY = 4, 5  # of a trial on a share of the windows; numbers that are fitted to all of them then
@@ -76,13 +76,13 @@ def wrong_numbers(investigation: Investigation, named: FittedModel, on_progress:
     if not all(np.isfinite(part).all() for part in few.cost.values()):  # it blows up: nothing to go on from
         return replace(few, rest=1.0, refitted=named)
     few = first = gap.fitted((), few)
-    for number in range(MOST):
-        on_progress("numbers", number / (MOST + 1))
+    for number in range(SEVERAL):
+        on_progress("numbers", number / (SEVERAL + 1))
         best = _best(gap, few)
         if best is None:
             break
         few = _pruned(gap, best)
-    on_progress("numbers", MOST / (MOST + 1))
+    on_progress("numbers", MOST / (SEVERAL + 1))
     few, around = _confirmed(gap, few)
     few = replace(few, explained=gap.gain(first, few, gap.open))
     if around is None:
@@ -113,8 +113,7 @@ def _confirmed(gap: "_Gap", few: Numbers) -> tuple[Numbers, Numbers | None]:
 def _left_alone(gap: "_Gap", few: Numbers, around: Numbers) -> Numbers:
     """Return a refit that leaves the numbers of body and actuators where they were, at least those it does not know.
 
-    On circles yaw inertia takes up what the tyres' formula leaves: what moving it explains must be worth telling of, or
-    more than another formula leaves.
+    On circles yaw inertia takes up what the tyres' formula leaves: what moving it explains must be worth telling of.
     """
     was, ranges = few.found.theta, intervals(gap.investigation, around.found)
     moved = [name for name in ALONE if name in ranges and abs(ranges[name][0] / was[name] - 1.0) > SLIGHT]
@@ -248,12 +247,18 @@ class _Gap:
         return self.gains(few, more, stages) and (share > WORTH or share > ALL * self.share(few.cost, stages))
 
     def slight(self, few: Numbers, more: Numbers) -> bool:
-        """Return whether what one fit explains more than another is too little for a number to move."""
+        """Return whether what one fit explains more than another is too little for a number to move.
+
+        Enough is what is worth telling of, or most of what is left in a stage, if more than other formulas leave.
+        """
         if not any(self.gains(few, more, [stage]) for stage in self.open):
             return True
         floor = self.investigation.floor
-        foreign = any(self.fall(few, more, stage) > FOREIGN * floor[stage] for stage in self.open)
-        return not foreign and self.gain(few, more, self.open) <= WORTH
+        enough = any(
+            self.fall(few, more, stage) > max(FOREIGN * floor[stage], MOST * self._excess(few.cost, stage))
+            for stage in self.open
+        )
+        return not enough and self.gain(few, more, self.open) <= WORTH
 
     @property
     def unchanged(self) -> Numbers:

@@ -149,16 +149,22 @@ def test_grip_is_what_the_tyres_give_whichever_coefficient_has_it():
 
 
 @pytest.mark.parametrize(
-    ("gains", "excess", "held"),
+    ("gains", "gap_size", "left", "held"),  # shares of the gap; the gap and what is left of it, over the noise's cost
     [
-        ({}, 5.0, ["yaw_inertia", "l_f"]),
-        ({"yaw_inertia+l_f": 0.02}, 4.0, ["yaw_inertia", "l_f"]),  # clear, but not worth telling of
-        ({"yaw_inertia+l_f": 0.1}, 0.5, ["yaw_inertia"]),  # what the refit knows may move
-        ({"yaw_inertia+l_f": 0.1, "yaw_inertia": 0.1}, 0.5, []),
-        ({"yaw_inertia+l_f": 0.02}, 20.0, ["yaw_inertia"]),  # little of a large gap, but more than other formulas leave
+        ({}, 5.0, 0.0, ["yaw_inertia", "l_f"]),
+        ({"yaw_inertia+l_f": 0.02}, 4.0, 0.1, ["yaw_inertia", "l_f"]),  # clear, but not worth telling of
+        ({"yaw_inertia+l_f": 0.1}, 0.5, 0.1, ["yaw_inertia"]),  # what the refit knows may move
+        ({"yaw_inertia+l_f": 0.1, "yaw_inertia": 0.1}, 0.5, 0.1, []),
+        ({"yaw_inertia+l_f": 0.02}, 20.0, 0.5, ["yaw_inertia"]),  # little of a large gap, but most of what is left
+        ({"yaw_inertia+l_f": 0.02}, 20.0, 1.0, ["yaw_inertia", "l_f"]),  # less than half of that
     ],
 )
-def test_body_and_actuators_stay_where_they_were_unless_held_out_windows_ask_for_more(monkeypatch, gains, excess, held):
+def test_body_and_actuators_stay_where_they_were_unless_held_out_windows_ask_for_more(
+    monkeypatch, gains, gap_size, left, held
+):
+    class Fit(str):
+        cost = None
+
     few = SimpleNamespace(found=SimpleNamespace(theta={"yaw_inertia": 0.12, "l_f": 0.16, "drive.time_constant": 0.04}))
     ranges = {
         "yaw_inertia": (0.10, 0.08, 0.13),
@@ -166,14 +172,15 @@ def test_body_and_actuators_stay_where_they_were_unless_held_out_windows_ask_for
         "drive.time_constant": (0.0401, 0.03, 0.05),
     }
     monkeypatch.setattr(numbers_module, "intervals", lambda *_: ranges)
-    monkeypatch.setattr(numbers_module, "_refitted", lambda gap, few, names: "+".join(names))
+    monkeypatch.setattr(numbers_module, "_refitted", lambda gap, few, names: Fit("+".join(names)))
     gap = SimpleNamespace(
         investigation=SimpleNamespace(floor={"chassis": 1.0}),
         open=["chassis"],
         held_out=lambda found: found,
         gains=lambda still, *_: still in gains,
         gain=lambda still, *_: gains.get(still, 0.0),
-        fall=lambda still, *_: excess * gains.get(still, 0.0),
+        fall=lambda still, *_: gap_size * gains.get(still, 0.0),
+        _excess=lambda *_: left,
     )
     gap.slight = lambda *fits: numbers_module._Gap.slight(gap, *fits)
     around = SimpleNamespace(found=None)
