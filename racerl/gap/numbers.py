@@ -249,13 +249,14 @@ class _Gap:
     def slight(self, few: Numbers, more: Numbers) -> bool:
         """Return whether what one fit explains more than another is too little for a number to move.
 
-        Enough is what is worth telling of, or most of what is left in a stage, if more than other formulas leave.
+        Enough is what is worth telling of; or in a stage half of what stays unexplained all the same, if that is more
+        than other formulas leave.
         """
         if not any(self.gains(few, more, [stage]) for stage in self.open):
             return True
         floor = self.investigation.floor
         enough = any(
-            self.fall(few, more, stage) > max(FOREIGN * floor[stage], MOST * self._excess(few.cost, stage))
+            self.fall(few, more, stage) > max(FOREIGN * floor[stage], MOST * self._excess(more.cost, stage))
             for stage in self.open
         )
         return not enough and self.gain(few, more, self.open) <= WORTH

@@ -149,14 +149,19 @@ def test_grip_is_what_the_tyres_give_whichever_coefficient_has_it():
 
 
 @pytest.mark.parametrize(
-    ("gains", "gap_size", "left", "held"),  # shares of the gap; the gap and what is left of it, over the noise's cost
+    (
+        "gains",
+        "gap_size",
+        "left",
+        "held",
+    ),  # shares of the gap; the gap and what the refit leaves, over the noise's cost
     [
         ({}, 5.0, 0.0, ["yaw_inertia", "l_f"]),
         ({"yaw_inertia+l_f": 0.02}, 4.0, 0.1, ["yaw_inertia", "l_f"]),  # clear, but not worth telling of
         ({"yaw_inertia+l_f": 0.1}, 0.5, 0.1, ["yaw_inertia"]),  # what the refit knows may move
         ({"yaw_inertia+l_f": 0.1, "yaw_inertia": 0.1}, 0.5, 0.1, []),
-        ({"yaw_inertia+l_f": 0.02}, 20.0, 0.5, ["yaw_inertia"]),  # little of a large gap, but most of what is left
-        ({"yaw_inertia+l_f": 0.02}, 20.0, 1.0, ["yaw_inertia", "l_f"]),  # less than half of that
+        ({"yaw_inertia+l_f": 0.02}, 20.0, 0.5, ["yaw_inertia"]),  # little of a large gap, but much beside what is left
+        ({"yaw_inertia+l_f": 0.02}, 20.0, 1.0, ["yaw_inertia", "l_f"]),  # less than half of what is left
     ],
 )
 def test_body_and_actuators_stay_where_they_were_unless_held_out_windows_ask_for_more(
@@ -183,7 +188,7 @@ def test_body_and_actuators_stay_where_they_were_unless_held_out_windows_ask_for
         _excess=lambda *_: left,
     )
     gap.slight = lambda *fits: numbers_module._Gap.slight(gap, *fits)
-    around = SimpleNamespace(found=None)
+    around = SimpleNamespace(found=None, cost=None)
     assert numbers_module._left_alone(gap, few, around) == ("+".join(held) or around)
 
 
