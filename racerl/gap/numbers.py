@@ -82,7 +82,7 @@ def wrong_numbers(investigation: Investigation, named: FittedModel, on_progress:
         if best is None:
             break
         few = _pruned(gap, best)
-    on_progress("numbers", MOST / (SEVERAL + 1))
+    on_progress("numbers", SEVERAL / (SEVERAL + 1))
     few, around = _confirmed(gap, few)
     few = replace(few, explained=gap.gain(first, few, gap.open))
     if around is None:

@@ -198,7 +198,7 @@ def _sweep(name: str, content: Mapping[str, Any]) -> Sweep:
     for claim in sweep.claims:
         for arm in sorted(set().union(*(test.arms for test in claim.tests)) - set(sweep.arms)):
             raise ConfigError(f"sweeps/{name}.yaml: claim {claim.number}: no arm '{arm}'{suggest(arm, sweep.arms)}")
-        for car in sorted({test.car for test in claim.tests} - {TWIN, *sweep.cars}):
+        for car in sorted({test.car for test in claim.tests} - {TWIN, *sweep.cars}):  # the twin need not be raced in
             raise ConfigError(f"sweeps/{name}.yaml: claim {claim.number}: no car '{car}'{suggest(car, sweep.cars)}")
     return sweep
 

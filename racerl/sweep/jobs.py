@@ -16,7 +16,7 @@ from typing import Any
 from racerl.assemble import files_read
 from racerl.control.policy import FACTS, UNREFINED, improved_by, load_policy
 from racerl.documents import content_hash
-from racerl.errors import RacerlError
+from racerl.errors import ConfigError, RacerlError
 from racerl.run import Compose, RunFolder, config_hash, is_complete
 from racerl.sweep.definition import Sweep
 from racerl.train.train import beginning
@@ -135,6 +135,8 @@ def _training(
 ) -> Job:
     # what differs from job to job is put in here: composing takes a quarter of a second, the same words once
     own = [*map(str, settings["words"]), f"threads={settings['threads']}"]
+    if any(_key(word) == "seed" for word in (*words, *own)):
+        raise ConfigError("seed=…: a sweep has several; give seeds=[0,1]")
     train = {**compose("train", [*words, *own]), "seed": seed}
     files = list(files_read(train).values())
     path = out / "jobs" / f"{arm}-{seed}-{config_hash({**train, 'files': files} if files else train)[:6]}"

@@ -33,8 +33,9 @@ def refitted(off):
 
 
 def test_wrong_numbers_are_found_with_their_values_and_nothing_else_is_changed(refitted):
-    decision = name_effects(refitted)
-    numbers = wrong_numbers(refitted, decision.found)
+    decision, told = name_effects(refitted), []
+    numbers = wrong_numbers(refitted, decision.found, lambda what, share: told.append(share))
+    assert len(told) > 1 and told == sorted(told)
     facts = as_configured(refitted, numbers, 3.0)
     assert not decision.found.effects and facts["rest"] == 0.0 and facts["error"] == 3.0
     assert {row["parameter"]: row["to"] for row in facts["changes"]} == pytest.approx(OFF, rel=0.02)
@@ -149,12 +150,8 @@ def test_grip_is_what_the_tyres_give_whichever_coefficient_has_it():
 
 
 @pytest.mark.parametrize(
-    (
-        "gains",
-        "gap_size",
-        "left",
-        "held",
-    ),  # shares of the gap; the gap and what the refit leaves, over the noise's cost
+    # shares of the gap; the gap and what the refit leaves, over the noise's cost; what stays
+    ("gains", "gap_size", "left", "held"),
     [
         ({}, 5.0, 0.0, ["yaw_inertia", "l_f"]),
         ({"yaw_inertia+l_f": 0.02}, 4.0, 0.1, ["yaw_inertia", "l_f"]),  # clear, but not worth telling of

@@ -36,6 +36,13 @@ def test_a_driver_is_no_training_however_its_word_is_given(tmp_path, monkeypatch
     assert [job.name for job in jobs if job.train is None] == ["b"] and len(jobs) == 3
 
 
+def test_an_arm_has_no_seed_of_its_own(tmp_path, monkeypatch):
+    write(tmp_path, monkeypatch, arms={"a": ["seed=3"]}, claims=None)
+    settings = {"words": [], "threads": 1, "seeds": [0], "laps": 1, "starts": [0], "cars": ["model"]}
+    with pytest.raises(RacerlError, match="a sweep has several; give seeds="):
+        plan(read_sweeps("mine"), settings, tmp_path, compose_settings)
+
+
 @pytest.mark.parametrize("budget, steps", [("smoke", 2048), ("laptop", None), ("paper", None)])
 def test_a_trial_is_known_by_its_budget(tmp_path, budget, steps):
     settings = {"words": [f"budget={budget}"], "threads": 1, "seeds": [0], "laps": 1, "starts": [0], "cars": ["model"]}
