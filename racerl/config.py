@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from racerl.env.adapters.gymnasium import RaceEnv, RaceVectorEnv
 
 VERSION_BASE = "1.3"
+MAPPING = "data"  # the group of which a file need not name every key
 FILE_GROUPS = {"track": (".csv", ".yaml", ".yml"), "vehicle": (".yaml", ".yml"), "controller": (".yaml", ".yml")}
 # where the words are others
 SPOKEN = {"race": "evaluate", "refine": "train", "compare": "report compare", "close": "gap close"}
@@ -212,6 +213,7 @@ def _rewrite(command: str, arguments: Sequence[str], positional: str | None) -> 
     bare: list[str] = []
     groups = set(default_groups(command))
     filed = _filed([*arguments, *(f"{positional}={word}" for word in arguments if "=" not in word)])
+    filed |= groups & {MAPPING}
     words = iter(arguments)
     for word in words:
         if word.startswith("-"):
@@ -252,7 +254,7 @@ def _filed(arguments: Sequence[str]) -> set[str]:
 
 
 def _rewrite_override(word: str, groups: set[str], filed: Collection[str]) -> Iterator[str]:
-    """Yield Hydra's words for one of the user's; the keys of the groups `filed` are those of a file."""
+    """Yield Hydra's words for one of the user's; of the groups `filed` a file, or who reads them, knows the keys."""
     key, _, value = word.partition("=")
     group = key.lstrip("+")
     if key in ("out", "from") and not value.startswith(("'", '"')):
@@ -273,7 +275,7 @@ def _rewrite_override(word: str, groups: set[str], filed: Collection[str]) -> It
         yield f"{group}=file"
         yield f"{group}.file={quote(value)}"
     elif group.partition(".")[0] in filed and "." in group and not key.startswith("~"):
-        yield f"++{word.lstrip('+')}"  # Hydra does not know what the file holds; whoever reads it does
+        yield f"++{word.lstrip('+')}"  # Hydra does not know all its keys; whoever reads it does
     else:
         yield word.lstrip("+") if group in groups else word
 

@@ -217,6 +217,8 @@ class _InertLoader(yaml.SafeLoader):
 
 def _construct_float_like(loader: yaml.SafeLoader, node: Any) -> Any:
     text = loader.construct_scalar(node)
+    if node.style is not None:  # in quotes it is a text
+        return text
     try:
         return float(text) if any(c.isdigit() for c in text) and "_" not in text else text
     except ValueError:

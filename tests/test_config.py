@@ -6,6 +6,7 @@ from racerl import registry
 from racerl.assemble import build_race
 from racerl.choices import default_groups
 from racerl.config import compose_settings, make_env, run_command
+from racerl.data.layout import read_layout
 from racerl.errors import ConfigError, RacerlError, TrackError, VehicleError
 from racerl.identify import methods
 from racerl.record.drivers import create_driver
@@ -155,6 +156,18 @@ def test_what_a_file_says_is_overridden_like_a_group(tmp_path, monkeypatch):
     settings = compose_settings("train", ["track=l_shape.csv", "track.width=2"])
     with pytest.raises(TrackError, match=r"track\.width: a centreline has no settings"):
         build_race(settings, cars=1, seeds=[0])
+
+
+def test_keys_that_a_mapping_leaves_out_are_overridden_all_the_same(tmp_path, monkeypatch):
+    (tmp_path / "conf" / "data").mkdir(parents=True)
+    (tmp_path / "conf" / "data" / "mine.yaml").write_text("channels: {x: /pose}\n")
+    monkeypatch.chdir(tmp_path)
+    words = ["data=mine", "data.shift.delta_ref=0.1", "data.gap=0.3", "+data.resample=50", "data.time.stamp=received"]
+    layout = read_layout(compose_settings("identify", ["logs=[a.csv]", *words])["data"])
+    assert (layout.shift, layout.gap, layout.resample) == ({"delta_ref": 0.1}, 0.3, 50.0)
+    assert layout.time.stamp == "received" and "x" in layout.channels
+    with pytest.raises(ConfigError, match="data has no key 'gapp'; did you mean gap"):
+        read_layout(compose_settings("identify", ["logs=[a.csv]", "data.gapp=0.3"])["data"])
 
 
 def test_a_conf_folder_here_shadows_the_packaged_one(tmp_path, monkeypatch):

@@ -57,6 +57,8 @@ def test_yaml_comes_back(tmp_path):
     content = {"a": 1e-4, "b": [1, 2.5, "x"], "c": {"d": True, "e": None, "f": "friction_0.02"}}
     write_yaml(tmp_path / "a.yaml", content)
     assert read_yaml(tmp_path / "a.yaml") == content
+    (tmp_path / "b.yaml").write_text("name: '1'\nrate: 1e-3\nfile: \"2024\"\n")
+    assert read_yaml(tmp_path / "b.yaml") == {"name": "1", "rate": 1e-3, "file": "2024"}
 
 
 @pytest.mark.parametrize(

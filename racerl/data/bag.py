@@ -8,6 +8,7 @@ read, and the chunks of an MCAP file are unpacked once under a limit before the 
 with a flipped byte decode all the same: stamps, orientations and numbers are checked after decoding.
 """
 
+import bisect
 import contextlib
 import importlib
 import sqlite3
@@ -81,6 +82,7 @@ def open_bag(path: Path) -> Iterator[Bag]:
     with contextlib.ExitStack() as stack:
         files = tuple(file for file in _storage_files(path, stack) if _check_storage(path, file))
         try:
+            files = tuple(sorted(files, key=_begin))  # names do not tell: bag_10 comes before bag_2
             yield Bag(path, files, _topics(files))
         except RacerlError:
             raise
@@ -89,6 +91,14 @@ def open_bag(path: Path) -> Iterator[Bag]:
         except Exception as error:  # on damaged bytes the decoder may raise anything
             detail = " ".join(str(error).split())[:160] or type(error).__name__
             raise LogError(f"{path}: cannot be decoded ({detail}); is the bag complete?") from error
+
+
+def _begin(file: Path) -> int:
+    """Return when the first message of a storage file was received, in ns."""
+    from rosbags.rosbag2 import Reader
+
+    with Reader(file) as reader:
+        return int(reader.start_time)
 
 
 def _topics(files: tuple[Path, ...]) -> tuple[Topic, ...]:
@@ -222,7 +232,8 @@ def _check_mcap(path: Path, file: Path) -> None:
                 stream.seek(length, 1)
             if total > MAX_BYTES:
                 raise LogError(f"{path}: more than {MAX_BYTES} bytes when unpacked; split the bag")
-    raise LogError(f"{path}: is cut short or damaged at byte {file.stat().st_size if magic else 0}; copy it again")
+    told = f"is cut short or damaged at byte {file.stat().st_size if magic else 0}"
+    raise LogError(f"{path}: {told}; copy it again, or where its recorder was cut off: mcap recover {file.name}")
 
 
 def _chunk_size(path: Path, content: bytes) -> int:
@@ -344,6 +355,23 @@ def _number(path: Path, message: Any, channel: str, source: Source) -> float:
     return float(value)
 
 
+def _in_order(t: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Return the most stamps that never fall, (K,): what lies before or beyond its neighbours is damaged."""
+    if (np.diff(t) >= 0).all():
+        return np.arange(len(t))
+    last: list[float] = []  # the lowest stamp that a sequence of each length can end with
+    at: list[int] = []
+    before = np.full(len(t), -1)
+    for i, stamp in enumerate(t.tolist()):
+        place = bisect.bisect_right(last, stamp)
+        before[i] = at[place - 1] if place else -1
+        last[place : place + 1], at[place : place + 1] = [stamp], [i]
+    kept = [at[-1]]
+    while before[kept[-1]] >= 0:
+        kept.append(int(before[kept[-1]]))
+    return np.array(kept[::-1])
+
+
 def _streams(path: Path, topic: str, samples: _Samples, stamp: str, remarks: list[str]) -> Iterator[tuple[str, Stream]]:
     """Yield the channels of a topic, checked: stamps of one clock and increasing, finite values."""
     received, t = np.array(samples.received), np.array(samples.stamped if stamp == "header" else samples.received)
@@ -359,12 +387,10 @@ def _streams(path: Path, topic: str, samples: _Samples, stamp: str, remarks: lis
         good = np.isfinite(t) & (np.abs(late - np.median(late)) < CLOCK)
         for value in values.values():
             good &= np.isfinite(value)
-    # a stamp that lies before an earlier one, or beyond all later ones, is damaged
-    ahead = np.minimum.accumulate(np.where(good, t, np.inf)[::-1])[::-1]
-    good &= t <= ahead
     order = np.flatnonzero(good)
-    order = order[np.concatenate([[True], np.diff(t[order]) > 0])] if len(order) else order
-    bad = len(t) - int(good.sum())
+    order = order[_in_order(t[order])]
+    bad = len(t) - len(order)
+    order = order[np.diff(t[order], prepend=-np.inf) > 0]  # of the same stamp the first counts
     if bad > max(1.0, BAD_SHARE * len(t)):
         raise LogError(
             f"{path}: {bad} of {len(t)} messages on {topic} have an impossible stamp, orientation or number; "

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from racerl.data.agreement import Comparison, compare_with_poses, differences
 from racerl.data.differentiate import slope, smoothed
-from racerl.data.lag import ENOUGH, Lag, best_lag, correlation_lag, reach, smoothing
+from racerl.data.lag import ENOUGH, MAX_LAG, Lag, best_lag, correlation_lag, reach, smoothing
 from racerl.data.log import CHANNELS, VELOCITY, Log
 
 Array = NDArray[np.float64]
@@ -44,6 +44,8 @@ CLEAR = 0.6  # share of the yaw acceleration explained that shows the dynamics a
 HELD_SHARE = 0.6  # of the samples of a measured channel that repeat the one before
 CLIPPED_SHARE = 0.02  # of the samples that lie exactly at the extreme
 REPEATED = 1.0  # s of identical rows that count as doubled driving
+ALIKE = 20  # rows in a row that must be identical to count
+MIX = np.uint64(0x9E3779B97F4A7C15)  # an odd number, 2⁶⁴ over the golden ratio
 BINS = 24  # of a coverage histogram
 SLIP_SCALES = (0.05, 0.15, 0.5)  # rad, of the saturating functions
 RECKONED = (
@@ -54,8 +56,12 @@ ANGLES, SPEEDS = {"deg": 180 / math.pi}, {"km/h": 3.6, "mm": 1000.0}  # other un
 GAIN = 0.02  # by which a shift must raise the explained share to be believed
 
 
-def inspect(log: Log, wheelbase: float = 0.33) -> dict[str, Any]:
-    """Return what a log holds, as plain JSON: channels, rate, runs, coverage, lags and warnings."""
+def inspect(log: Log, wheelbase: float | None = None) -> dict[str, Any]:
+    """Return what a log holds, as plain JSON: channels, rate, runs, coverage, lags and warnings.
+
+    `wheelbase` is the car's in m, where that is known better than to the log's mapping.
+    """
+    wheelbase = log.wheelbase if wheelbase is None else wheelbase
     lags, compared = _lags(log, wheelbase), compare_with_poses(log)
     if compared and compared.lag:
         lags["yaw to yaw_rate"] = compared.lag
@@ -81,7 +87,7 @@ def inspect(log: Log, wheelbase: float = 0.33) -> dict[str, Any]:
             *([RECKONED] if log.reckoned else []),
             *contradictions,
             *(_apart(compared) if compared else []),
-            *_lag_warnings(lags),
+            *_lag_warnings(lags, log.shift),
             *_doubled(log),
         ],
     }
@@ -95,10 +101,10 @@ def lines_of(inspected: Iterable[Mapping[str, Any]], kind: str) -> list[str]:
 def compare(logs: Sequence[Log]) -> list[str]:
     """Return a warning for every pair of logs that share driving."""
     warnings = []
-    hashes = [(log, set(_row_hashes(log).tolist())) for log in logs]
+    hashes = [(log, _stretches(log)) for log in logs]
     for i, (first, rows) in enumerate(hashes):
         for second, others in hashes[i + 1 :]:
-            shared = len(rows & others) * first.dt
+            shared = _seconds(np.isin(rows, others), first)
             if shared >= REPEATED:
                 warnings.append(f"{first.name} and {second.name} share {shared:.1f} s of identical rows; keep one")
     return warnings
@@ -343,22 +349,21 @@ def _explained(features: Array, target: Array, small: Array) -> float:
     return max(0.0, float(1.0 - np.var(centred - matrix @ weights) / np.var(target)))
 
 
-def _lag_warnings(lags: dict[str, Lag]) -> Iterator[str]:
+def _lag_warnings(lags: dict[str, Lag], shift: Mapping[str, float]) -> Iterator[str]:
+    """Yield a line for each channel that comes too early or too late, after the `shift` in s that it has been given."""
     for key, (ahead, behind, least) in LIMITS.items():
         lag, name = lags.get(key), key.split(" ")[0]
         if lag is None or lag.best < least or lag.best - lag.unshifted < (1e-3 if "curvature" in key else GAIN):
             continue
         answer = "the yaw rate" if name in ("delta", "delta_ref") else "the acceleration"
+        cure = f"data.shift.{name}={round(shift.get(name, 0.0) + lag.seconds, 6):g} lines them up"
+        told = f"{abs(lag.seconds):.3f} s"
+        if abs(lag.seconds) > 0.96 * MAX_LAG:  # the best of all shifts tried is the last
+            told, cure = f"{MAX_LAG:g} s or more", f"look for the shift with {cure.split(' ')[0]} and on from there"
         if lag.seconds >= ahead:
-            yield (
-                f"{name} is {lag.seconds:.3f} s ahead of {answer}: a lag of the car or stamps of another clock; "
-                f"data.shift.{name}={lag.seconds:g} lines them up"
-            )
+            yield f"{name} is {told} ahead of {answer}: a lag of the car or stamps of another clock; {cure}"
         elif lag.seconds <= -behind:
-            yield (
-                f"{name} is {-lag.seconds:.3f} s behind {answer}, which no car does: stamps of another clock; "
-                f"data.shift.{name}={lag.seconds:g} lines them up"
-            )
+            yield f"{name} is {told} behind {answer}, which no car does: stamps of another clock; {cure}"
     lag = lags.get("delta_ref to delta")
     if lag is not None and lag.best > 0.5 and lag.best - lag.unshifted > 1e-3 and not -0.015 <= lag.seconds <= 0.15:
         yield f"delta follows delta_ref by {lag.seconds:+.3f} s; expected is 0 … 0.15 s; check the stamps of both"
@@ -489,7 +494,7 @@ def _apart(compared: Comparison) -> Iterator[str]:
     """Yield how velocities are of another point or another time than the poses beside them."""
     if compared.offset:
         place = f"{abs(compared.offset):.2f} m {'ahead of' if compared.offset > 0 else 'behind'}"
-        yield f"v_y belongs to a point {place} the one x and y track; see data.frame.forward"
+        yield f"v_y belongs to a point {place} the one x and y track; data.velocities=poses makes it from the poses"
     if compared.late:
         yield (
             f"yaw_rate lags the differentiated yaw by {compared.late:.3f} s: filtered, or stamps of another clock; "
@@ -498,6 +503,21 @@ def _apart(compared: Comparison) -> Iterator[str]:
 
 
 # ---- doubled driving
+
+
+def _stretches(log: Log) -> NDArray[np.uint64]:
+    """Return a hash of each ALIKE rows in a row: single rows of rounded numbers are alike by chance."""
+    rows, mixed = _row_hashes(log), np.zeros(0, dtype=np.uint64)
+    if len(rows) >= ALIKE:
+        mixed = np.zeros(len(rows) - ALIKE + 1, dtype=np.uint64)
+        for place in range(ALIKE):
+            mixed = mixed * MIX + rows[place : place + len(mixed)]  # modulo 2⁶⁴
+    return mixed
+
+
+def _seconds(alike: NDArray[np.bool_], log: Log) -> float:
+    """Return the seconds of the rows that lie in such stretches, of which `alike` marks the first rows."""
+    return float(np.count_nonzero(np.convolve(alike, np.ones(ALIKE)) > 0.5) * log.dt) if alike.any() else 0.0
 
 
 def _row_hashes(log: Log) -> NDArray[np.uint64]:
@@ -510,7 +530,6 @@ def _row_hashes(log: Log) -> NDArray[np.uint64]:
 
 
 def _doubled(log: Log) -> Iterator[str]:
-    hashes = _row_hashes(log)
-    repeated = (len(hashes) - len(np.unique(hashes))) * log.dt
+    repeated = _seconds(pd.Series(_stretches(log)).duplicated().to_numpy(), log)
     if repeated >= REPEATED:
         yield f"{repeated:.1f} s of driving are in the log twice, row for row; drop the doubled runs"

@@ -30,8 +30,18 @@ from numpy.typing import NDArray
 from racerl.data.agreement import DIFFERENTIATED, contradiction
 from racerl.data.bag import Stream, is_bag, open_bag
 from racerl.data.differentiate import velocities
-from racerl.data.layout import Layout, Source, read_layout
-from racerl.data.log import CHANNELS, OURS, POSE, VELOCITY, Log, sample_time
+from racerl.data.layout import COMMANDS, Layout, Source, read_layout
+from racerl.data.log import (
+    CHANNELS,
+    MOST_CUTS,
+    OURS,
+    POSE,
+    VELOCITY,
+    Log,
+    complete_rows,
+    run_changes,
+    sample_time,
+)
 from racerl.data.topics import suited
 from racerl.documents import as_frame, conf_folder, read_yaml, require_content
 from racerl.errors import DocumentError, LogError, RacerlError, suggest
@@ -54,6 +64,8 @@ SPIKES = {"x": (100.0, 0.005), "y": (100.0, 0.005), "yaw": (500.0, 0.01)}  # m/s
 USUAL = 20.0
 TOLD, WIDEST = 8, 40  # columns that are not read, by name; characters of one
 LEAP = 100.0  # m/s between two samples of a pose that no small car does
+EVEN = 0.01  # of the sample time by which steps may differ where velocities are made from poses: 3 mm/s at 2 m/s
+PAUSE = 1.0  # s without a new value, from which on a held channel is told of
 
 Array = NDArray[np.float64]
 
@@ -120,19 +132,22 @@ def _read(path: Path, layout: Layout) -> Log:
         streams, spikes = _without_spikes(path.name, streams)
         pieces = _cut_streams(path.name, streams, layout)
         rate = min((streams[channel].rate for channel in POSE if channel in streams), default=SLOW_POSE)
-        said = (*remarks, *more, *_slow_pose(rate), *_spike_remark(spikes))
+        said = (*remarks, *more, *_pauses(streams), *_slow_pose(rate), *_spike_remark(spikes))
         log = _assemble(path.name, pieces, layout, layout.resample or BAG_RATE, said)
-        return replace(log, reckoned=reckoned)
+        return replace(log, reckoned=reckoned, wheelbase=layout.vehicle.wheelbase, shift=layout.shift)
     if layout.of_bag:
         raise LogError(f"{path}: is no bag, but its mapping names topics{_likely(_columns(read_table(path)))}")
-    table, remarks = _named(path, read_table(path), layout)
+    table, sources, remarks = _named(path, read_table(path), layout)
     if _as_it_is(table, layout):
         log = Log.from_table(path.name, table, remarks)
     else:
-        pieces, more = _cut_table(path.name, table, layout)
+        pieces, more = _cut_table(path.name, table, sources, layout)
         log = _assemble(path.name, pieces, layout, layout.resample, (*remarks, *more))
     said = _slow_pose(1.0 / log.dt) if {*POSE} <= {*log.channels} else ()
-    return replace(log, remarks=(*log.remarks, *said))
+    clock = table["t"].to_numpy()
+    reckoned = _is_reckoned({channel: Stream(clock, table[channel].to_numpy()) for channel in POSE if channel in table})
+    log = replace(log, remarks=(*log.remarks, *said), reckoned=reckoned)
+    return replace(log, wheelbase=layout.vehicle.wheelbase, shift=layout.shift)
 
 
 def read_table(path: Path) -> pd.DataFrame:
@@ -246,13 +261,16 @@ def _likely(columns: Sequence[str]) -> str:
     return f"; looks like data={best}" if best else "; write a mapping of its columns (see conf/data/dart.yaml)"
 
 
-def _named(path: Path, table: pd.DataFrame, layout: Layout) -> tuple[pd.DataFrame, tuple[str, ...]]:
-    """Return the rows that count, with t, run and the channels in their units."""
+def _named(
+    path: Path, table: pd.DataFrame, layout: Layout
+) -> tuple[pd.DataFrame, Mapping[str, Source], tuple[str, ...]]:
+    """Return the rows that count, with t, run and the channels in their units; where these are from; remarks."""
     have = _columns(table)
     if layout.time.column not in have:
         near = suggest(layout.time.column, have, most=1) if not _likely(have).startswith("; looks") else ""
         raise LogError(f"{path}: has no time column '{layout.time.column}'{near}{_likely(have)}")
-    sources = layout.channels or {name: (Source(column=name),) for name in CHANNELS if name in have}
+    plain = {name: (Source(column=name, hold=name in COMMANDS),) for name in CHANNELS if name in have}
+    sources = layout.channels or plain
     chosen = {name: next((s for s in several if s.column in have), None) for name, several in sources.items()}
     found = {name: source for name, source in chosen.items() if source is not None}
     if not found:
@@ -265,7 +283,8 @@ def _named(path: Path, table: pd.DataFrame, layout: Layout) -> tuple[pd.DataFram
     for column, value in layout.require.items():
         if column not in have:
             raise LogError(f"{path}: data.require names the column '{column}', which it lacks{suggest(column, have)}")
-        keep &= _numeric(path, table[column]) == value
+        flag = pd.api.types.is_bool_dtype(table[column])
+        keep &= _numeric(path, table[column].astype("float64") if flag else table[column]) == value
     if not keep.all():
         remarks.append(f"{(~keep).sum()} rows left out by data.require ({', '.join(layout.require)})")
     rows = table[keep]
@@ -276,8 +295,14 @@ def _named(path: Path, table: pd.DataFrame, layout: Layout) -> tuple[pd.DataFram
     if layout.run is not None and layout.run in have:
         named["run"] = rows[layout.run].to_numpy()
     for name, source in found.items():
-        named[name] = source.convert(_numeric(path, rows[source.column]))
-    return pd.DataFrame(named), tuple(remarks)
+        values = source.convert(_numeric(path, rows[source.column]))
+        if np.isfinite(values).any():
+            named[name] = values
+        else:
+            remarks.append(f"{name} is no number in any row: untestable")
+    if not any(name in CHANNELS for name in named):
+        raise LogError(f"{path}: holds no number in any column that its mapping names")
+    return pd.DataFrame(named), found, tuple(remarks)
 
 
 def _passed_over(have: Sequence[str], layout: Layout) -> Iterator[str]:
@@ -317,18 +342,12 @@ def _as_it_is(table: pd.DataFrame, layout: Layout) -> bool:
     return not (layout.resample or moved or derived or framed or table["t"].max() > EPOCH)
 
 
-def _cut_table(name: str, table: pd.DataFrame, layout: Layout) -> tuple[list[Piece], tuple[str, ...]]:
+def _cut_table(
+    name: str, table: pd.DataFrame, sources: Mapping[str, Source], layout: Layout
+) -> tuple[list[Piece], tuple[str, ...]]:
     """Cut a table at run changes, pauses, missing values and jumps back in time."""
     channels = [column for column in table if column in CHANNELS]
-    complete = np.isfinite(table[["t", *channels]].to_numpy()).all(axis=1)
-    if "run" in table:
-        complete &= table["run"].notna().to_numpy()
-    if complete.mean() < 0.5:
-        raise LogError(
-            f"{name}: {1 - complete.mean():.0%} of the rows miss a value; at most half may; "
-            "leave the broken channel out of the mapping"
-        )
-    remarks = [] if complete.all() else [f"{(~complete).sum()} rows with a missing value left out; runs split there"]
+    complete, remarks = complete_rows(name, table)
     rows = table[complete]
     sample_time(name, rows)
     t = rows["t"].to_numpy()
@@ -336,20 +355,15 @@ def _cut_table(name: str, table: pd.DataFrame, layout: Layout) -> tuple[list[Pie
     missing = np.diff(np.flatnonzero(complete)) > 1
     cut = (steps > layout.gap) | (steps <= 0) | missing
     if "run" in rows:
-        code, _ = pd.factorize(rows["run"])
-        change = np.diff(code) != 0
-        entered = code[np.flatnonzero(np.concatenate([[True], change]))]
-        if len(np.unique(entered)) < len(entered):
-            raise LogError(f"{name}: the rows of its runs are mixed up; sort the file by run, then by t")
-        cut |= change
-    if cut.mean() > 0.2:
+        cut |= run_changes(name, rows)
+    if cut.mean() > MOST_CUTS:
         raise LogError(f"{name}: {cut.mean():.0%} of its steps jump in time; raise data.gap = {layout.gap:g} s?")
     values = {channel: rows[channel].to_numpy() for channel in channels}
     runs = rows["run"].to_numpy() if "run" in rows else None
     pieces, spikes = [], 0
     for start, stop in _spans(cut):
         streams = {
-            c: Stream(t[start:stop] + layout.shift.get(c, 0.0), v[start:stop], _held(layout, c))
+            c: Stream(t[start:stop] + layout.shift.get(c, 0.0), v[start:stop], sources[c].hold)
             for c, v in values.items()
         }
         streams, count = _without_spikes(name, streams)
@@ -363,6 +377,14 @@ def _slow_pose(rate: float) -> tuple[str, ...]:
     if rate >= SLOW_POSE:
         return ()
     return (f"the pose comes {rate:.0f} times per second, too seldom for the velocities made from it; 40 are needed",)
+
+
+def _pauses(streams: Mapping[str, Stream]) -> Iterator[str]:
+    """Say where a held channel goes without a new value for long: a car left to itself does not do what it says."""
+    for channel, stream in streams.items():
+        if stream.hold and (pauses := np.diff(stream.t)[np.diff(stream.t) > PAUSE]).size:
+            told = f"{len(pauses)} times, {pauses.max():.1f} s at most" if len(pauses) > 1 else f"{pauses[0]:.1f} s"
+            yield f"{channel} pauses ({told}); its last value is taken to hold"
 
 
 def _is_reckoned(streams: Mapping[str, Stream]) -> bool:
@@ -384,11 +406,6 @@ def _is_reckoned(streams: Mapping[str, Stream]) -> bool:
 
 def _spike_remark(spikes: int) -> tuple[str, ...]:
     return (f"samples that stuck out of the pose, now on the line between their neighbours: {spikes}",)[:spikes]
-
-
-def _held(layout: Layout, channel: str) -> bool:
-    sources = layout.channels.get(channel)
-    return sources[0].hold if sources else channel.endswith("_ref")
 
 
 def _cut_streams(name: str, streams: Mapping[str, Stream], layout: Layout) -> list[Piece]:
@@ -422,7 +439,11 @@ def _assemble(name: str, pieces: list[Piece], layout: Layout, rate: float | None
     expected = sum((piece.t[-1] - piece.t[0]) * rate + 1 for piece in pieces) if rate else 0
     if expected > MAX_ROWS:
         raise LogError(f"{name}: {expected:.3g} rows at data.resample = {rate:g} Hz; at most {MAX_ROWS} are made")
-    dt = 1.0 / rate if rate else _median_step(pieces)
+    steps = np.concatenate([np.diff(piece.t) for piece in pieces])
+    if derive and not rate and len(steps) and np.ptp(steps) > EVEN * float(np.median(steps)):
+        rate = 1.0 / float(np.median(steps))
+        said.append(f"sampled at {rate:.4g} Hz, for its times are uneven and velocities are made from its poses")
+    dt = 1.0 / rate if rate else float(np.median(steps)) if len(steps) else 1.0  # s
     tables, short = [], 0
     for number, piece in enumerate(pieces):
         t = _grid(piece.t, rate) if rate else piece.t
@@ -450,11 +471,6 @@ def _since(origin: float, piece: Piece) -> Piece:
     """Return the piece with times from `origin` on, to the microsecond, which is what clock times are good for."""
     streams = {name: stream._replace(t=np.round(stream.t - origin, 6)) for name, stream in piece.streams.items()}
     return replace(piece, t=np.round(piece.t - origin, 6), streams=streams)
-
-
-def _median_step(pieces: list[Piece]) -> float:
-    steps = np.concatenate([np.diff(piece.t) for piece in pieces])
-    return float(np.median(steps)) if len(steps) else 1.0  # s
 
 
 def _grid(t: Array, rate: float) -> Array:

@@ -4,8 +4,8 @@ Columns: `t` in s, `run` (id of one unbroken stretch), and any of `CHANNELS`. Ax
 the centre of gravity in the world, velocities in the body frame, x forward, y left, angles counter-clockwise.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -41,6 +41,7 @@ POSE, VELOCITY = ("x", "y", "yaw"), ("v_x", "v_y", "yaw_rate")
 LABEL = "manoeuvre"  # column of a recorded log: what was driven
 OURS = (LABEL, "seed", "lap", "travelled", "s", "n", "heading", "offset", "margin")  # columns that racerl adds
 JITTER = 0.2  # of the sample time by which a step may differ within a run
+MOST_CUTS = 0.2  # of the steps at which runs may be split; beyond it the log has another fault
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,8 @@ class Log:
 
     `table` has the columns t, run and the channels that were measured, sorted by run in order of appearance and by
     time. `dt` is the sample time in s. `remarks` says, a line each, what was done to the file's content on the way in.
-    `reckoned` says that the poses are no measurement: somebody has made them of the wheel's speed and a heading.
+    `reckoned` says that the poses are no measurement: somebody has made them of the wheel's speed and a heading. Of the
+    mapping that it was read by it keeps the wheelbase in m, and by how many s the stamps of channels were moved.
     """
 
     name: str
@@ -57,6 +59,8 @@ class Log:
     dt: float
     remarks: tuple[str, ...] = ()
     reckoned: bool = False
+    wheelbase: float = 0.33
+    shift: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
     def from_table(cls, name: str, table: pd.DataFrame, remarks: tuple[str, ...] = ()) -> "Log":
@@ -74,17 +78,8 @@ class Log:
             if not pd.api.types.is_numeric_dtype(table[column]) or pd.api.types.is_bool_dtype(table[column]):
                 raise LogError(f"{name}: column '{column}' is not numeric; is it another file or a broken line?")
             table[column] = table[column].astype(np.float64)
-        # infinities are read as missing: both are gaps in what was measured
-        complete = np.isfinite(table[["t", *columns]].to_numpy()).all(axis=1)
-        if "run" in table:
-            complete &= table["run"].notna().to_numpy()
-        if complete.mean() < 0.5:
-            raise LogError(
-                f"{name}: {1 - complete.mean():.0%} of the rows miss a value; at most half may; "
-                "leave the broken channel out of the file"
-            )
-        if not complete.all():
-            remarks = (*remarks, f"{(~complete).sum()} rows with a missing value left out; runs are split there")
+        complete, more = complete_rows(name, table)
+        remarks = (*remarks, *more)
         dt = sample_time(name, table[complete])
         table = table[complete].assign(run=_runs(name, table, complete, dt)).reset_index(drop=True)
         for column in columns:
@@ -149,6 +144,39 @@ def sample_time(name: str, table: pd.DataFrame) -> float:
     return dt
 
 
+def complete_rows(name: str, table: pd.DataFrame) -> tuple[NDArray[np.bool_], tuple[str, ...]]:
+    """Return which rows have a time, a run and all channels, (rows,), and a remark where some don't.
+
+    Infinities are read as missing: both are gaps in what was measured. Raises LogError where a channel has so many that
+    no runs are left.
+    """
+    columns = ["t", *(column for column in table if column in CHANNELS)]
+    finite = np.isfinite(table[columns].to_numpy())
+    complete = finite.all(axis=1)
+    if "run" in table:
+        complete &= table["run"].notna().to_numpy()
+    if complete.all():
+        return complete, ()
+    apart = np.diff(np.flatnonzero(complete)) > 1
+    if complete.mean() < 0.5 or apart.mean() > MOST_CUTS:
+        worst = columns[int(finite.mean(axis=0).argmin())]
+        raise LogError(
+            f"{name}: {1 - complete.mean():.0%} of the rows miss a value, most of them {worst}, and runs are split at "
+            f"each; take {worst} out of the file, or fill its gaps"
+        )
+    return complete, (f"{(~complete).sum()} rows with a missing value left out; runs are split there",)
+
+
+def run_changes(name: str, rows: pd.DataFrame) -> NDArray[np.bool_]:
+    """Return where the id of the run changes, (rows − 1,); raise LogError where a run comes back later."""
+    code, _ = pd.factorize(rows["run"])
+    change = np.diff(code) != 0
+    entered = code[np.flatnonzero(np.concatenate([[True], change]))]
+    if len(np.unique(entered)) < len(entered):
+        raise LogError(f"{name}: the rows of its runs are mixed up; sort the file by run, then by t")
+    return np.asarray(change)
+
+
 def _runs(name: str, table: pd.DataFrame, complete: NDArray[np.bool_], dt: float) -> NDArray[np.int64]:
     """Return a run id per complete row: the file's runs, split at missing rows and at jumps in time."""
     rows = table[complete]
@@ -157,17 +185,13 @@ def _runs(name: str, table: pd.DataFrame, complete: NDArray[np.bool_], dt: float
     missing = np.diff(np.flatnonzero(complete)) > 1
     fresh = jump | missing
     if "run" in rows:
-        code, _ = pd.factorize(rows["run"])
-        change = np.diff(code) != 0
-        entered = code[np.flatnonzero(np.concatenate([[True], change]))]
-        if len(np.unique(entered)) < len(entered):
-            raise LogError(f"{name}: the rows of its runs are mixed up; sort the file by run, then by t")
+        change = run_changes(name, rows)
         fresh |= change
         if not (jump | missing)[~change].any():
             runs = rows["run"].to_numpy()
             if pd.api.types.is_integer_dtype(runs.dtype):
                 return runs.astype(np.int64)
-    if fresh.mean() > 0.2:
+    if fresh.mean() > MOST_CUTS:
         raise LogError(f"{name}: {fresh.mean():.0%} of its steps jump in time; resample it to a uniform rate")
     return np.concatenate([[0], np.cumsum(fresh)]).astype(np.int64)
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from racerl.data.inspect import compare, inspect
-from racerl.data.layout import read_layout
 from racerl.data.load import load_given
 from racerl.documents import write_json, write_parquet
 from racerl.run import RunFolder
@@ -19,9 +18,8 @@ FACTS = "data.json"
 
 def survey(settings: Mapping[str, Any], out: Path) -> dict[str, Any]:
     """Inspect `settings["logs"]` through `settings["data"]`, write the results into `out` and return them."""
-    layout = read_layout(settings["data"])
     logs = load_given(settings)
-    inspections = [inspect(log, layout.vehicle.wheelbase) for log in logs]
+    inspections = [inspect(log) for log in logs]
     shared = compare(logs)
     facts = {"logs": inspections, "warnings": shared}
     folder = RunFolder.start(out, "data", settings)

@@ -48,15 +48,19 @@ class UnmappedBag(LogError):
 def found(layout: Layout, topics: Sequence[Topic]) -> dict[str, Source]:
     """Return the source of every channel that the bag has, with its field.
 
-    The first source whose topic and field are there counts; a topic without the field only where no other source is.
+    The first source whose topic, field and messages are there counts; a topic without messages, or without the field,
+    only where no other source is.
     """
-    kinds = {topic.name: topic.kind for topic in topics}
+    known = {topic.name: topic for topic in topics}
     chosen = {}
     for channel, sources in layout.channels.items():
-        there = [replace(s, field=s.field or usual_field(kinds[s.topic], channel)) for s in sources if s.topic in kinds]
-        whole = [source for source in there if has_field(kinds[source.topic], source.field)]
+        there = [
+            replace(s, field=s.field or usual_field(known[s.topic].kind, channel)) for s in sources if s.topic in known
+        ]
+        whole = [source for source in there if has_field(known[source.topic].kind, source.field)]
+        heard = [source for source in whole if known[source.topic].messages]
         if there:
-            chosen[channel] = (whole or there)[0]
+            chosen[channel] = (heard or whole or there)[0]
     return chosen
 
 

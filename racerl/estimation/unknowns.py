@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from racerl import bounds
 from racerl.errors import ConfigError, suggest
 from racerl.vehicle.parameter import Parameter, specifications, values
 from racerl.vehicle.vehicle import Vehicle
@@ -94,30 +95,31 @@ def choose_unknowns(vehicle: Vehicle, priors: Mapping[str, Any], hold: Sequence[
     """
     table = {name: float(value) for name, value in values(vehicle).items()}
     priors = dict(_flat(priors))
-    hold = [hold] if isinstance(hold, str) else hold
+    hold = bounds.words("hold", hold, HELD)
     for pattern in [*priors, *hold]:
         if not fnmatch.filter(values(configured), pattern) and pattern != EFFECTS:
             raise ConfigError(f"no parameter of the vehicle fits '{pattern}'{suggest(pattern, values(configured))}")
     known = specifications(vehicle)
     sigma: dict[str, float] = {}
-    bounds = {name: (known[name].low, _highest(name, known[name], table)) for name in table}
+    limits = {name: (known[name].low, _highest(name, known[name], table)) for name in table}
     for pattern, width in priors.items():
         for name in fnmatch.filter(table, pattern):
             sigma[name] = _deviation(pattern, width, table[name])
-            bounds[name] = _within(pattern, width, known[name], table[name]) or bounds[name]
+            limits[name] = _within(pattern, width, known[name], table[name]) or limits[name]
     for pattern in hold:
         for name in fnmatch.filter(table, pattern):
             sigma[name] = 0.0
     fixed = {f"effects.{name}.{key}" for name, effect in vehicle.effects.items() for key in effect.known}
     names = tuple(name for name in table if sigma.get(name, 0.0) > 0.0 and name not in fixed)
     if not names:
-        raise ConfigError("every parameter is held; free some in priors, for instance priors.yaw_inertia=0.2")
+        cure = "leave some out of hold" if hold else "free some in priors, for instance priors.yaw_inertia=0.2"
+        raise ConfigError(f"every parameter is held; {cure}")
     return Unknowns(
         names,
         np.array([table[name] for name in names]),
         np.array([sigma[name] for name in names]),
-        np.array([bounds[name][0] for name in names]),
-        np.array([bounds[name][1] for name in names]),
+        np.array([limits[name][0] for name in names]),
+        np.array([limits[name][1] for name in names]),
         tuple(known[name] for name in names),
     )
 
@@ -130,7 +132,7 @@ def _highest(name: str, specification: Parameter, table: Mapping[str, float]) ->
 def _flat(priors: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
     """Yield (dotted pattern, width); an override such as priors.front.p_Hy1=… arrives nested."""
     for key, width in priors.items():
-        if isinstance(width, Mapping) and not {"absolute", "share"} & set(width):
+        if isinstance(width, Mapping) and not {"absolute", "share", "within"} & set(width):
             yield from _flat(width, f"{prefix}{key}.")
         else:
             yield f"{prefix}{key}", width
@@ -141,7 +143,7 @@ def _deviation(pattern: str, width: Any, value: float) -> float:
         return 0.0
     given = width if isinstance(width, Mapping) else {"share": width}
     kind = "absolute" if "absolute" in given else "share"
-    if set(given) - {kind, "within"} or not _is_number(given[kind]) or given[kind] < 0:
+    if set(given) - {kind, "within"} or not _is_number(given.get(kind)) or given[kind] < 0:
         raise ConfigError(f"priors.{pattern} = {width}: {FORMS}")
     return float(given[kind]) * (abs(value) if kind == "share" else 1.0)
 

@@ -88,7 +88,7 @@ def maps(investigation: Investigation, errors: Mapping[str, Array]) -> list[dict
     for name, part in errors.items():
         evidence = investigation.evidence[name]
         power = growth(part, investigation.noise[name])
-        for key, condition in conditions(evidence, float(car.l_f), float(car.l_r)).items():
+        for key, condition in conditions(evidence, float(car.arm), float(car.l_r)).items():
             values = segments(evidence, condition.values)
             edges = np.quantile(values, [TAIL, *np.linspace(0.0, 1.0, BINS + 1)[1:-1], 1.0 - TAIL])
             if len(np.unique(edges)) < BINS + 1:

@@ -37,9 +37,10 @@ class Fold:
 
 
 def deal(cut: Cut, count: int) -> tuple[list[Fold], str]:
-    """Return `count` folds that together hold out every window once, and a line that says how.
+    """Return `count` folds that hold out every window once, and a line that says how.
 
-    Whole runs are dealt by length; with fewer runs than folds, each run is held out in stretches.
+    Whole runs are dealt by length; with fewer runs than folds, each run is held out in stretches, and windows across
+    two of these are never held out.
     """
     runs, windows = np.unique(cut.run, return_counts=True)
     if len(runs) >= count:

@@ -73,4 +73,4 @@ class Cornering:
 
 def _static_loads(vehicle: Vehicle) -> tuple[float, float]:
     weight = float(vehicle.mass) * GRAVITY / float(vehicle.wheelbase)
-    return weight * float(vehicle.l_r), weight * float(vehicle.l_f)
+    return weight * float(vehicle.l_r), weight * float(vehicle.arm)

@@ -158,7 +158,7 @@ def slips(vehicle: Vehicle, truth: np.ndarray) -> pd.DataFrame:
     """Return slip ratios and angles (rad) of both axles for states (K, 8), and the speed in m/s."""
     state = pd.DataFrame(truth, columns=list(STATE))
     sin, cos = np.sin(state["delta"]), np.cos(state["delta"])
-    lateral_f = state["v_y"] + vehicle.l_f * state["yaw_rate"]
+    lateral_f = state["v_y"] + vehicle.arm * state["yaw_rate"]
     V_xf, V_yf = state["v_x"] * cos + lateral_f * sin, lateral_f * cos - state["v_x"] * sin
     V_yr = state["v_y"] - vehicle.l_r * state["yaw_rate"]
     return pd.DataFrame(

@@ -43,12 +43,18 @@ def fastest_lap(title: str, evaluation: Evaluation) -> FlyingLap | None:
     length = float(evaluation.track["s_m"].iloc[-1] + evaluation.track["s_m"].iloc[1])
     s = np.unwrap(samples["s"], period=length)
     s = np.maximum.accumulate(s - length * np.round(s[0] / length))  # in a hairpin a foot point may step back
-    first, second = samples["t"].iloc[:2]
-    t = samples["t"] - (first - s[0] * (second - first) / (s[1] - s[0]))  # less the time of the line, by the first two
+    t = samples["t"] - time_of_line(s, samples["t"].to_numpy())
     left = "" if row["valid"] else ", left the track"
     driver = f"{title} ({evaluation.metrics['car']}), {row['time_s']:.3f} s{left}"
     kept = ["x", "y", "v_x", "delta", *(name for name in ("v_y", "margin", "yaw") if name in samples)]
     return FlyingLap(driver, row["time_s"], length, samples[kept].assign(s=s, t=t))
+
+
+def time_of_line(s: Array, t: Array) -> float:
+    """Return when in s the line was crossed, by the first two samples that lie apart; places s in m, times t in s."""
+    second = int(np.argmax(s > s[0]))
+    slowness = (t[second] - t[0]) / (s[second] - s[0]) if second else 0.0
+    return float(t[0] - s[0] * slowness)
 
 
 def delta_time(a: FlyingLap, b: FlyingLap, s: Array) -> Array:

@@ -27,14 +27,15 @@ class FreeSpace:
             self.origin = [float(value) for value in settings["origin"]]
             negate = bool(int(settings.get("negate", 0)))
             occupied = float(settings.get("occupied_thresh", 0.65))
+            free = float(settings.get("free_thresh", 0.196))
         except (KeyError, TypeError, ValueError) as error:
             raise TrackError(f"track {path}: {error!s} is missing or not a number; a ROS map yaml has it") from error
         if self.resolution <= 0 or len(self.origin) < 2:
             raise TrackError(f"track {path}: resolution {self.resolution:g} and origin {self.origin} make no map")
         self.image = _find_image(path, str(settings.get("image", "")))
         grey = _read_image(self.image) / 255.0
-        # ROS: occupancy p = (255 − x)/255, negated p = x/255
-        self.free = ((grey if negate else 1.0 - grey) < occupied)[::-1]
+        # ROS: occupancy p = (255 − x)/255, negated p = x/255; between the thresholds a cell is unknown
+        self.free = ((grey if negate else 1.0 - grey) < min(free, occupied))[::-1]
 
     @property
     def turned(self) -> float:

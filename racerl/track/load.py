@@ -20,7 +20,7 @@ from racerl.track.track import Track
 
 log = logging.getLogger(__name__)
 
-MAP_KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh")  # that are read
+MAP_KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")  # that are read
 SWAP_EVIDENCE = 0.05  # m of mean misfit by which swapped widths must fit better
 
 

@@ -17,6 +17,7 @@ from racerl.vehicle.parameter import build, check_value
 from racerl.vehicle.tyre import MagicFormula
 from racerl.vehicle.vehicle import Vehicle
 
+EXAMPLE = "{yaw_damping: {coefficient: 0.15}}"
 DRIVES = {"wheel_speed": FirstOrder, "motor_current": MotorCurrent}
 COMPONENTS = {"front": MagicFormula, "rear": MagicFormula, "steering": FirstOrder, **DRIVES}
 
@@ -77,7 +78,9 @@ def _check_own(settings: Mapping[str, Any]) -> dict[str, float]:
     return {key: check_value(f"vehicle.{key}", known[key], value) for key, value in settings.items()}
 
 
-def _load_effects(settings: Mapping[str, Any]) -> dict[str, Effect]:
+def _load_effects(settings: Any) -> dict[str, Effect]:
+    if not isinstance(settings, Mapping):
+        raise VehicleError(f"vehicle.effects = {settings}: effects with their parameters are expected, as {EXAMPLE}")
     return {
         name: build(registry.lookup(effects_package, name), parameters or {}, f"vehicle.effects.{name}")
         for name, parameters in settings.items()
@@ -103,6 +106,8 @@ def _with_file(settings: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return the content of `settings["file"]`, if there is one, under what the settings say themselves."""
     if "file" not in settings:
         return settings
+    if not isinstance(settings["file"], str | Path) or not str(settings["file"]):
+        raise VehicleError(f"vehicle.file = {settings['file']}: a file is expected, as vehicle=model.yaml")
     path = Path(settings["file"])
     return _merged(own_form(read_yaml(path), path), {k: v for k, v in settings.items() if k != "file"})
 

@@ -185,6 +185,20 @@ class Vehicle:
         V_f, V_r = self.slip_speed(V_xf, ops), self.slip_speed(motion.v_x, ops)
         return Slips((motion.omega - V_xf) / V_f, -V_yf / V_f, (motion.omega - motion.v_x) / V_r, -V_yr / V_r)
 
+    def slips_seen(self, steady: Slips, motion: Motion, ops: Ops) -> Slips:
+        """Return the slips that the tyres see, where `steady` are those of the steady state."""
+        slips = steady
+        for effect in self.effects.values():
+            slips = effect.slip(slips, motion, ops)
+        return slips
+
+    def grip(self, motion: Motion, ops: Ops) -> tuple[Scalar, Scalar]:
+        """Return the friction scales of both axles."""
+        friction = (self.friction, self.friction)
+        for effect in self.effects.values():
+            friction = effect.grip(friction, motion, ops)
+        return friction
+
     def front_velocity(self, motion: Motion, ops: Ops) -> tuple[Scalar, Scalar]:
         """Return the front axle's velocity along and across its wheels."""
         sin_delta, cos_delta = ops.sin(motion.delta), ops.cos(motion.delta)
@@ -198,10 +212,7 @@ class Vehicle:
 
     def tyre_forces(self, slips: Slips, motion: Motion, ops: Ops) -> Forces:
         """Return what the tyres do at given slips."""
-        friction = (self.friction, self.friction)
-        for effect in self.effects.values():
-            friction = effect.grip(friction, motion, ops)
-        F_zf, F_zr = self.loads(motion, ops)
+        friction, (F_zf, F_zr) = self.grip(motion, ops), self.loads(motion, ops)
         F_xf, F_yf = self.front.forces(slips.kappa_f, slips.alpha_f, F_zf, friction[0], ops)
         F_xr, F_yr = self.rear.forces(slips.kappa_r, slips.alpha_r, F_zr, friction[1], ops)
         forces = Forces(F_xf, F_yf, F_xr, F_yr, F_zf, F_zr)
@@ -253,9 +264,8 @@ class Vehicle:
         wheel_speed = self.drive.position(omega, drive_ref)
         motion = Motion(x, y, yaw, v_x, v_y, yaw_rate, wheel_angle, wheel_speed, own, self)
 
-        steady = slips = self.slips(motion, ops)
-        for effect in self.effects.values():
-            slips = effect.slip(slips, motion, ops)
+        steady = self.slips(motion, ops)
+        slips = self.slips_seen(steady, motion, ops)
         forces = self.tyre_forces(slips, motion, ops)
         wrench = self.wrench(forces, motion, ops)
         traction = forces.F_xf + forces.F_xr

@@ -73,11 +73,15 @@ def small(driven: pd.DataFrame) -> pd.DataFrame:
 
 
 def write_bag(
-    folder: Path, count: int = 30, storage: str = "sqlite3", change: Callable[..., None] | None = None
+    folder: Path,
+    count: int = 30,
+    storage: str = "sqlite3",
+    change: Callable[..., None] | None = None,
+    first: int = 0,
 ) -> Path:
     """Write a bag of a car on a circle (radius 2 m, 1 m/s, wheel speed 1 m/s) and return its storage file.
 
-    `change(i, pose, state)` may spoil the i-th messages.
+    `change(i, pose, state)` may spoil the i-th messages; recording begins with the `first`.
     """
     from rosbags.rosbag2 import StoragePlugin, Writer
 
@@ -99,7 +103,7 @@ def write_bag(
             "/drive": "ackermann_msgs/msg/AckermannDriveStamped",
         }
         connections = {topic: writer.add_connection(topic, kind, typestore=store) for topic, kind in kinds.items()}
-        for i in range(count):
+        for i in range(first, first + count):
             t = 1_000_000_000.0 + 0.01 * i
             angle = 0.5 * 0.01 * i
             pose = {"x": 2 * np.sin(angle), "y": 2 - 2 * np.cos(angle), "yaw": angle, "t": t, "norm": 1.0}

@@ -169,3 +169,32 @@ def test_the_measured_bag(tmp_path):
     (tmp_path / "copy.zip").write_bytes(path.read_bytes()[:1_000_000])
     with pytest.raises(LogError, match="zip"):
         load_logs([tmp_path / "copy.zip"], mapping("ros2"))
+
+
+def test_the_parts_of_a_bag_are_read_in_the_order_they_were_recorded(tmp_path):
+    bag, whole = tmp_path / "bag", load(write_bag(tmp_path / "whole", 240))
+    bag.mkdir()
+    for part in range(12):
+        file = write_bag(tmp_path / f"part_{part}", 20, first=20 * part)
+        shutil.copy(file, bag / f"drive_{part}.db3")
+    split = load(bag)
+    np.testing.assert_allclose(split.table[["x", "yaw", "omega"]], whole.table[["x", "yaw", "omega"]], atol=1e-9)
+
+
+@pytest.mark.parametrize("off", [-0.5, -0.2, 0.2, 0.5])
+def test_one_wrong_stamp_costs_one_message(tmp_path, off):
+    def spoil(i, pose, state):
+        pose["t"] += off if i == 200 else 0.0
+
+    log = load(write_bag(tmp_path / "bag", 400, change=spoil))
+    assert any(line.startswith("1 of 400 messages on /pose left out") for line in log.remarks)
+    np.testing.assert_allclose(log.array("v_x"), 1.0, atol=1e-3)
+
+
+def test_a_command_that_pauses_is_told_of(tmp_path):
+    file = write_bag(tmp_path / "bag", 600)
+    with sqlite3.connect(file) as database:
+        topic = database.execute("SELECT id FROM topics WHERE name = '/drive'").fetchone()[0]
+        rows = database.execute("SELECT id FROM messages WHERE topic_id = ? ORDER BY timestamp", (topic,)).fetchall()
+        database.executemany("DELETE FROM messages WHERE id = ?", rows[100:400])
+    assert "omega_ref pauses (3.0 s); its last value is taken to hold" in load(file).remarks

@@ -1,6 +1,7 @@
 """The inspection: every trap is seen on a log made to show it, none on clean ones; the measured logs show theirs."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -203,3 +204,22 @@ def test_a_long_log_is_searched_for_lags_in_a_share_of_its_minutes(driven, monke
     part = inspect(late)["lags"]["delta"]
     assert 0.2 * len(late.table) < seen[0] < 0.6 * len(late.table)
     assert part["seconds"] == pytest.approx(whole["seconds"], abs=0.011)
+
+
+@pytest.mark.parametrize("given", [0.0, 0.05])
+def test_the_shift_that_is_advised_counts_what_was_shifted_before(driven, given):
+    log = replace(Log.from_table("drive", moved(driven, "delta", 12)), shift={"delta": given})
+    line = next(line for line in inspect(log)["warnings"] if line.startswith("delta is 0.1"))
+    asked = float(line.split("data.shift.delta=")[1].split()[0])
+    assert asked == pytest.approx(given - 0.12, abs=0.011)
+
+
+def test_a_shift_at_the_edge_of_the_search_is_no_measurement(driven):
+    found = warnings(moved(driven, "delta", 26))
+    assert any("delta is 0.25 s or more behind" in line and "look for the shift with" in line for line in found), found
+
+
+def test_rounded_rows_that_are_alike_by_chance_are_not_driven_twice(driven):
+    rounded = driven[["t", "run", "v_x", "yaw_rate"]].round({"v_x": 1, "yaw_rate": 1})
+    first, second = (Log.from_table(name, rows) for name, rows in (("a", rounded[:3000]), ("b", rounded[3000:])))
+    assert not any("twice" in line for line in inspect(first)["warnings"]) and compare([first, second]) == []

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from racerl.data.load import load_logs
+from racerl.data.load import load_logs, load_measured
 from racerl.errors import LogError
 from tests.data.conftest import mapping, measured
 
@@ -237,3 +237,55 @@ def test_poses_that_come_too_seldom_are_told_in_tables_too(driven, tmp_path):
     said = {step: load(save(driven.iloc[::step], tmp_path / f"{step}.csv")).remarks for step in (1, 3, 20)}
     assert not any("too seldom" in line for step in (1, 3) for line in said[step])
     assert any(line.startswith("the pose comes 5 times per second, too seldom") for line in said[20])
+
+
+def turning(t, speed=2.0, rate=0.3):
+    """Return the poses of a car on a circle at times t in s."""
+    yaw = rate * t
+    return pd.DataFrame({"t": t, "x": speed / rate * np.sin(yaw), "y": speed / rate * (1.0 - np.cos(yaw)), "yaw": yaw})
+
+
+@pytest.mark.parametrize(
+    "t",
+    [
+        np.arange(2000)[np.arange(2000) % 100 > 5] * 0.01,  # 60 ms are missing each second
+        np.arange(2000) * 0.01 + 0.0009 * np.sin(np.arange(2000.0)),
+    ],
+    ids=["dropouts", "jitter"],
+)
+def test_velocities_from_poses_at_uneven_times_are_those_of_the_car(tmp_path, t):
+    log = load(save(turning(t), tmp_path / "a.csv"))
+    np.testing.assert_allclose(log.array("v_x"), 2.0, atol=0.01)
+    np.testing.assert_allclose(log.array("yaw_rate"), 0.3, atol=0.003)
+    assert any("sampled at 100 Hz" in line for line in log.remarks)
+
+
+def test_poses_of_a_table_that_move_along_their_heading_are_reckoned(driven, tmp_path):
+    reckoned = turning(np.arange(2000) * 0.01).assign(v_x=2.0, v_y=0.0, yaw_rate=0.3)
+    path = save(reckoned, tmp_path / "a.csv")
+    assert load(path).reckoned and not load(save(driven, tmp_path / "b.csv")).reckoned
+    with pytest.raises(LogError, match="reckoned from wheel and steering"):
+        load_measured({"logs": [str(path)], "data": mapping("drive_log")})
+
+
+def test_an_empty_column_is_left_out_and_a_sparse_one_is_named(driven, tmp_path):
+    log = load(save(driven.assign(current=np.nan), tmp_path / "a.csv"))
+    assert "current" not in log.channels and "current is no number in any row: untestable" in log.remarks
+    sparse = driven.assign(current=np.where(np.arange(len(driven)) % 3, 1.0, np.nan))
+    with pytest.raises(LogError, match="33% of the rows miss a value, most of them current"):
+        load(save(sparse, tmp_path / "b.csv"))
+    with pytest.raises(LogError, match="no number in any column"):
+        load(save(driven[["t"]].assign(v_x=np.nan), tmp_path / "c.csv"))
+
+
+def test_a_flag_may_be_required(driven, tmp_path):
+    flagged = driven.assign(autonomous=driven["run"] == 1)
+    assert len(load(save(flagged, tmp_path / "a.csv"), require={"autonomous": 1}).table) == 2000
+
+
+@pytest.mark.parametrize("held, expected", [(True, [0.0, 0.0, 0.01, 0.01]), (False, [0.0, 0.005, 0.01, 0.015])])
+def test_the_column_that_is_read_says_whether_it_is_held(tmp_path, held, expected):
+    table = pd.DataFrame({"t": 0.02 * np.arange(50), "b": 0.01 * np.arange(50.0)})
+    sources = [{"column": "a", "hold": not held}, {"column": "b", "hold": held}]
+    log = load(save(table, tmp_path / "a.csv"), channels={"delta": sources}, resample=100)
+    assert log.array("delta")[:4] == pytest.approx(expected)

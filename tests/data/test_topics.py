@@ -8,7 +8,8 @@ from racerl.config import compose_settings
 from racerl.data.inspect import inspect
 from racerl.data.layout import read_layout
 from racerl.data.load import load_logs, load_measured
-from racerl.data.topics import Topic, UnmappedBag, draft
+from racerl.data.messages import ODOMETRY, POSE_STAMPED
+from racerl.data.topics import Topic, UnmappedBag, draft, found
 from racerl.documents import read_yaml
 from racerl.errors import LogError
 from tests.data.conftest import mapping, write_topics
@@ -161,3 +162,13 @@ def test_a_topic_gives_the_channel_from_where_its_type_has_it(short, tmp_path):
     channels["x"] = [channels["x"], "/odom"]  # the first is another type's
     log = load(bag, channels=channels)
     np.testing.assert_allclose(log.array("x"), short["x"], atol=1e-9)
+
+
+def test_a_topic_without_messages_gives_way_to_one_with_them():
+    pose, filtered = (
+        Topic(name, kind, count)
+        for name, kind, count in (("/pose", POSE_STAMPED, 0), ("/pf/pose/odom", ODOMETRY, 2400))
+    )
+    layout = read_layout(mapping("f1tenth"))
+    assert found(layout, [pose, filtered])["x"].topic == "/pf/pose/odom"
+    assert found(layout, [pose])["x"].topic == "/pose"

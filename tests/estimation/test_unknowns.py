@@ -78,3 +78,16 @@ def test_a_range_keeps_the_fit_inside_but_not_the_vehicle():
     assert unknowns.sigma[unknowns.names.index("front.p_Cy1")] == pytest.approx(0.3 * CAR.front.p_Cy1)
     outside = choose({"l_f": {"share": 0.1, "within": [0.2, 0.3]}})
     assert outside.low[0] == pytest.approx(CAR.l_f) and outside.high[0] == 0.3
+
+
+@pytest.mark.parametrize(
+    "priors, hold, said",
+    [
+        ({"yaw_inertia": 0.2}, ["*"], "every parameter is held; leave some out of hold"),
+        ({"yaw_inertia": None}, [], "every parameter is held; free some in priors"),
+        ({"l_f": {"within": [0.1, 0.2]}}, [], "priors.l_f = .* allowed is a share"),
+    ],
+)
+def test_what_frees_nothing_says_why(priors, hold, said):
+    with pytest.raises(ConfigError, match=said):
+        choose(priors, hold)

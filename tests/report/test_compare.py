@@ -18,7 +18,7 @@ from racerl.paper import human_lap, rl_lap
 from racerl.report.compare import compare
 from racerl.report.driver import Driver
 from racerl.report.figures import attitude
-from racerl.report.flying_lap import FlyingLap, delta_time
+from racerl.report.flying_lap import FlyingLap, delta_time, time_of_line
 from racerl.run import RunFolder
 from racerl.track.load import read_track
 
@@ -35,6 +35,11 @@ def human() -> FlyingLap:
 def slower(human):
     """The same lap, driven 10 % slower."""
     return replace(human, time_s=1.1 * human.time_s, samples=human.samples.assign(t=1.1 * human.samples["t"]))
+
+
+def test_samples_at_one_place_do_not_wipe_a_laps_times_out():
+    places, times = np.array([0.02, 0.02, 0.07, 0.12]), np.array([10.0, 10.1, 10.2, 10.3])
+    assert time_of_line(places, times) == pytest.approx(10.0 - 0.02 * 0.2 / 0.05)
 
 
 def raced(path, drive, track=TRACK, stage="evaluate", most=None, **facts):

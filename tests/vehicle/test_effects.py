@@ -214,6 +214,32 @@ def test_grip_is_lost_where_when_and_how_it_should():
     assert grip("roll_dynamics", {"loss": 0.02}, roll_dynamics__roll=5.0) == pytest.approx(0.9, abs=5e-3)
 
 
+def force(car, name, **values):
+    """Return what an effect changes in force and moment on the body."""
+    motion = car.motion(states(car, **values))
+    forces = car.tyre_forces(car.slips(motion, TORCH), motion, TORCH)
+    before = car.tyre_wrench(forces, motion, TORCH)
+    after = car.effects[name].wrench(before, forces, motion, TORCH)
+    return [float(b - a) for a, b in zip(before, after, strict=True)]
+
+
+def test_all_of_the_rolling_resistance_acts_wherever_the_centre_of_gravity_is():
+    moved = "+vehicle/effect=[rolling_resistance,cog_longitudinal_offset]"
+    offset = "vehicle.effects.cog_longitudinal_offset.offset=0.05"
+    car = make_car(moved, "vehicle.effects.rolling_resistance.force=1.0", offset)
+    assert force(car, "rolling_resistance", v_x=3.0, omega=3.0)[0] == pytest.approx(-1.0)
+
+
+def test_a_locked_differential_has_the_grip_that_the_tyres_have():
+    state = {"v_x": 2.0, "yaw_rate": 2.0, "omega": 2.0}
+    patch = (f"vehicle.effects.friction_patch.{word}" for word in ("depth=0.8", "radius=3.0", "edge=0.1"))
+    patched = make_car("+vehicle/effect=[locked_differential,friction_patch]", *patch)
+    slippery = make_car("+vehicle/effect=locked_differential", f"vehicle.friction={0.2 * float(make_car().friction)}")
+    dry = make_car("+vehicle/effect=locked_differential")
+    on_patch, all_over, without = (force(car, "locked_differential", **state)[2] for car in (patched, slippery, dry))
+    assert on_patch == pytest.approx(all_over, rel=1e-3) and abs(on_patch) < 0.5 * abs(without)
+
+
 def test_loads_shift_and_grow():
     wings = with_effect("downforce", coefficient=0.1)
     front, rear = wings.loads(wings.motion(states(wings, v_x=3.0)), TORCH)

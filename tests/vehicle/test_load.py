@@ -43,6 +43,9 @@ def change(settings, path, value):
         ("effects", {"aero_drag": {}}, ["coefficient", "missing"]),
         ("effects", {"__init__": {}}, ["__init__"]),
         ("effects", {"os": {}}, ["os"]),
+        ("effects", ["yaw_damping"], ["vehicle.effects = ['yaw_damping']", "{yaw_damping: {coefficient: 0.15}}"]),
+        ("effects", "yaw_damping", ["vehicle.effects = yaw_damping"]),
+        ("file", 3.0, ["vehicle.file = 3.0", "vehicle=model.yaml"]),
     ],
 )
 def test_mistakes_are_named_in_one_line(settings, path, value, said):

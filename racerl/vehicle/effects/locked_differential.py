@@ -28,14 +28,14 @@ class LockedDifferential(Effect):
     def wrench(self, wrench: "Wrench", forces: "Forces", motion: "Motion", ops: Ops) -> "Wrench":
         """Subtract both axles' moments from the yaw moment."""
         car = motion.car
-        slips = car.slips(motion, ops)
+        slips, friction = car.slips_seen(car.slips(motion, ops), motion, ops), car.grip(motion, ops)
         apart = 0.5 * self.track_width * motion.yaw_rate / car.slip_speed(motion.v_x, ops)
         M_z = wrench.M_z
         axles = (
-            (car.front, slips.kappa_f, slips.alpha_f, forces.F_zf),
-            (car.rear, slips.kappa_r, slips.alpha_r, forces.F_zr),
+            (car.front, slips.kappa_f, slips.alpha_f, forces.F_zf, friction[0]),
+            (car.rear, slips.kappa_r, slips.alpha_r, forces.F_zr, friction[1]),
         )
-        for tyre, kappa, alpha, F_z in axles:
-            inner, outer = (tyre.forces(kappa + side * apart, alpha, F_z, car.friction, ops)[0] for side in (1.0, -1.0))
+        for tyre, kappa, alpha, F_z, grip in axles:
+            inner, outer = (tyre.forces(kappa + side * apart, alpha, F_z, grip, ops)[0] for side in (1.0, -1.0))
             M_z = M_z - 0.25 * self.track_width * (inner - outer)
         return wrench._replace(M_z=M_z)

@@ -28,10 +28,10 @@ class RollingResistance(Effect):
     def wrench(self, wrench: "Wrench", forces: "Forces", motion: "Motion", ops: Ops) -> "Wrench":
         """Subtract each axle's share of F_0, the front's in the direction of its wheel."""
         car, force = motion.car, self.force * ops.tanh(motion.v_x / SMOOTH_SPEED)
-        front, rear = force * (car.l_r / car.wheelbase), force * (car.l_f / car.wheelbase)
+        front, rear = force * (car.l_r / car.wheelbase), force * (car.arm / car.wheelbase)
         aside = front * ops.sin(motion.delta)
         return wrench._replace(
             F_x=wrench.F_x - front * ops.cos(motion.delta) - rear,
             F_y=wrench.F_y - aside,
-            M_z=wrench.M_z - car.l_f * aside,
+            M_z=wrench.M_z - car.arm * aside,
         )
