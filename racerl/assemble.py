@@ -34,6 +34,8 @@ Settings = Mapping[str, Any]
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # of glibc's mallopt
 KEPT_BLOCK, KEPT_TOTAL = 32 << 20, 256 << 20  # bytes: blocks up to this size, and this much free memory, are kept
 
+SIMS = {"wheel_speed": "default", "motor_current": "motor_current"}  # conf/sim with its drive and the step it needs
+
 # what a resolved configuration, perhaps one that a stranger's run folder holds, must have
 NEEDED: dict[str, tuple[str, ...]] = {
     "vehicle": (),
@@ -153,7 +155,7 @@ def build_action(settings: Settings) -> Action:
     if action.drive_mode != drive:
         raise ConfigError(
             f"action={settings['action']['name']} commands {action.drive_mode}, but sim.drive is {drive}; "
-            f"use sim.drive={action.drive_mode}"
+            f"use sim={SIMS[action.drive_mode]}"
         )
     return action
 

@@ -81,7 +81,7 @@ def evaluate(arguments: Annotated[list[str] | None, _words("RUN [KEY=VALUE]...",
 
     Rivals race in the world of racerl train: racerl evaluate controller=mpc car=twin
     """
-    if any(word.lstrip("+").startswith("controller") for word in arguments or []):
+    if any(re.match(r"\+*controller[=./]", word) for word in arguments or []):
         _run("race", arguments, _race)
     else:
         _run("evaluate", arguments, _evaluate, positional="run")
@@ -309,14 +309,14 @@ def sweep(
     on. Own groups and keys: engine seeds cars twins laps starts threads out; other words are racerl train's, for
     instance budget=smoke.
     """
-    from racerl.config import gather_words
+    from racerl.config import bare_words, gather_words
     from racerl.sweep.definition import names, read_sweeps
 
     words = arguments or []
-    named = [word.removeprefix("name=") for word in words if "=" not in word or word.startswith("name=")]
-    if not [word for word in named if not word.startswith("-")]:
+    named = [*bare_words(words), *(word.removeprefix("name=") for word in words if word.startswith("name="))]
+    if not named:
         raise ConfigError(f"which sweep? There are {', '.join(names())}: racerl sweep ablations")
-    read_sweeps(next(word for word in named if not word.startswith("-")))  # before anything heavy
+    read_sweeps(named[0])  # before anything heavy
     _run("sweep", gather_words("sweep", words, "words"), _sweep, positional="name")
 
 
@@ -682,7 +682,7 @@ def _rerun(settings: "Settings", out: Path) -> None:
 
 
 def _export(settings: "Settings", out: Path) -> None:
-    if Path(settings["run"]).is_file():
+    if Path(str(settings["run"])).is_file():
         _export_vehicle(settings, out)
         return
     from racerl.deploy.export import CARD, HEADER, ONNX, export

@@ -6,6 +6,7 @@ given without its key.
 """
 
 import difflib
+import json
 import os
 import re
 import sys
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from racerl.env.adapters.gymnasium import RaceEnv, RaceVectorEnv
 
 VERSION_BASE = "1.3"
+PLACES = ("out", "from", "run", "real")  # keys of one file or folder
 MAPPING = "data"  # the group of which a file need not name every key
 FILE_GROUPS = {"track": (".csv", ".yaml", ".yml"), "vehicle": (".yaml", ".yml"), "controller": (".yaml", ".yml")}
 # where the words are others
@@ -257,7 +259,7 @@ def _rewrite_override(word: str, groups: set[str], filed: Collection[str]) -> It
     """Yield Hydra's words for one of the user's; of the groups `filed` a file, or who reads them, knows the keys."""
     key, _, value = word.partition("=")
     group = key.lstrip("+")
-    if key in ("out", "from") and not value.startswith(("'", '"')):
+    if key in PLACES and not value.startswith(("'", '"')):
         yield f"{key}={quote(value)}"  # a path may hold what Hydra's grammar has for itself: commas, brackets, umlauts
         return
     if group in groups and value in ("null", "{}"):
@@ -301,7 +303,14 @@ def _other_track(name: str) -> str:
         track = {"file": name}
     else:
         raise ConfigError(f"unknown track '{name}'{suggest(name, choices('track'))}")
-    return "{" + ",".join(f"{key}:{quote(str(value))}" for key, value in track.items()) + "}"
+    return "{" + ",".join(f"{key}:{_value(each)}" for key, each in track.items()) + "}"
+
+
+def _value(value: Any) -> str:
+    """Return what a file holds as Hydra's word."""
+    if isinstance(value, list):
+        return f"[{','.join(map(_value, value))}]"
+    return quote(value) if isinstance(value, str) else json.dumps(value)
 
 
 def _there(path: str, kind: Callable[[Path], bool] = Path.exists) -> bool:
@@ -381,6 +390,16 @@ def gather_words(command: str, arguments: Sequence[str], key: str) -> list[str]:
     return [*kept, f"{key}=[{','.join(map(quote, [*(base[key] if begun is None else begun), *others]))}]"]
 
 
+def bare_words(arguments: Sequence[str]) -> Iterator[str]:
+    """Yield the words that are neither an option, with its value, nor KEY=VALUE."""
+    words = iter(arguments)
+    for word in words:
+        if word in VALUED:
+            next(words, None)
+        elif "=" not in word and not word.startswith(("-", "~")):
+            yield word
+
+
 def name_track(arguments: Sequence[str], known: Collection[str]) -> list[str]:
     """Return a user's words with the bare one as track=…: one of the names known, a file, or a folder that holds one.
 
@@ -427,7 +446,7 @@ def _check_keys(command: str, settings: Settings) -> None:
 
 
 def _check_values(command: str, settings: Settings, overrides: Sequence[str]) -> None:
-    """Raise ConfigError for a word where there was a number."""
+    """Raise ConfigError for a word where there was a number, or true or false."""
     given = [word.lstrip("+").partition("=")[0] for word in overrides if "=" in word and not word.startswith("~")]
     words = {key: value for key in given if isinstance(value := _at(settings, key), str)}
     if not words:
@@ -438,8 +457,9 @@ def _check_values(command: str, settings: Settings, overrides: Sequence[str]) ->
         chosen = [word for word in overrides if word.lstrip("+").partition("=")[0] in groups]
         base = OmegaConf.to_container(_compose(command, chosen), resolve=False)
     for key, value in words.items():
-        if isinstance(usual := _at(base, key), int | float) and not isinstance(usual, bool):
-            raise ConfigError(f"{key} = {value}: a number is expected")
+        if isinstance(usual := _at(base, key), int | float):
+            expected = "true or false is expected" if isinstance(usual, bool) else "a number is expected"
+            raise ConfigError(f"{key} = {value}: {expected}")
 
 
 def _at(settings: Any, key: str) -> Any:

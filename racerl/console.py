@@ -171,7 +171,8 @@ def training_remark(progress: "TrainProgress") -> str:
     lap = "no lap yet"
     if evaluation:
         mean = evaluation["mean_lap_s"]
-        lap = f"lap {mean:.2f} s" if mean else "no clean lap"
+        clean = evaluation["valid_laps"] / max(evaluation["laps"], 1)
+        lap = f"lap {mean:.2f} s, {clean:.0%} clean" if mean else "no finished lap"
         lap += f", crashes {evaluation['crash_share']:.0%}"
     return (
         f"{progress.steps / 1e6:.2f} M steps, {progress.steps_per_s:,.0f} steps/s, reward {progress.reward:+.3f}, {lap}"

@@ -80,12 +80,13 @@ class Held:
         return self.number is not None
 
     def hear(self, number: int, frame: FrameType | None) -> None:
-        """Hold the first signal back, hand on its second; a closing terminal may send its own twice by itself."""
-        if self.number == number and number != signal.SIGHUP:
-            self._hand_on(number, frame)
-        elif self.number is None:
+        """Hold the first signal back, hand on the second; a closing terminal may send its own beside by itself."""
+        if self.number is None:
             log.warning("asked to stop: keeping what is done; ask again to leave at once")
-        self.number = number
+            self.number = number
+        elif number != signal.SIGHUP:
+            self.number = None
+            self._hand_on(number, frame)
 
     def release(self) -> None:
         """Hand a signal that was held back to whom it was for, who will raise mostly."""
@@ -117,4 +118,4 @@ def held_back() -> Iterator[Held]:
     finally:
         for one, before in held.before.items():
             signal.signal(one, before)
-    held.release()
+        held.release()

@@ -5,7 +5,7 @@ import pytest
 from racerl import registry
 from racerl.assemble import build_race
 from racerl.choices import default_groups
-from racerl.config import compose_settings, make_env, run_command
+from racerl.config import bare_words, compose_settings, make_env, run_command
 from racerl.data.layout import read_layout
 from racerl.errors import ConfigError, RacerlError, TrackError, VehicleError
 from racerl.identify import methods
@@ -217,6 +217,8 @@ def test_a_handed_configuration_cannot_run_code(tmp_path, monkeypatch, text, sai
         ([f"vehicle={CONF / 'vehicle'}"], f"give a file in it, as vehicle={CONF / 'vehicle'}"),
         (["+seed=3"], "+seed: is there already; write seed=… without the +"),
         (["+colour=red"], "unknown key 'colour'"),
+        (["sim.actuators=no"], "sim.actuators = no: true or false is expected"),
+        (["action.steering_max=much"], "action.steering_max = much: a number is expected"),
         (["~seed"], "seed"),
         (["vehicle.front.p_Dx=1"], "p_Dx1"),
         (["seed"], "key=value"),
@@ -282,3 +284,15 @@ def test_a_word_may_be_longer_than_a_file_name(tmp_path, monkeypatch):
 
 def test_environments_take_overrides():
     assert make_env(["obs=progress"]).observation_space.shape == (11,)
+
+
+def test_settings_of_further_tracks_keep_their_kinds(tmp_path, monkeypatch):
+    (tmp_path / "conf" / "track").mkdir(parents=True)
+    (tmp_path / "conf" / "track" / "mine.yaml").write_text("file: a.yaml\norigin: [-1.0, 2.5, 0]\nnegate: true\n")
+    monkeypatch.chdir(tmp_path)
+    (other,) = compose_settings("train", ["track=[l_shape,mine]"])["track"]["others"]
+    assert other == {"file": "a.yaml", "origin": [-1.0, 2.5, 0], "negate": True}
+
+
+def test_the_value_of_an_option_is_no_bare_word():
+    assert [*bare_words(["--cfg", "job", "ablations", "seed=1", "-m", "~dr"])] == ["ablations"]

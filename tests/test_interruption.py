@@ -181,3 +181,24 @@ def test_the_log_says_so_in_one_line(caplog):
         os.kill(os.getpid(), signal.SIGINT)
         time.sleep(0.01)
     assert len(caplog.records) == 1
+
+
+def test_another_signal_leaves_at_once_as_the_same_one_does():
+    listen()
+    kept = []
+    with pytest.raises(Terminated) as stop, held_back():
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.01)
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(0.5)
+        kept.append("never")
+    assert not kept and stop.value.number == signal.SIGTERM
+
+
+def test_a_signal_is_not_lost_where_the_loop_fails():
+    listen()
+    with pytest.raises(KeyboardInterrupt) as stop, held_back():
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.01)
+        raise RuntimeError("diverged")
+    assert isinstance(stop.value.__context__, RuntimeError)

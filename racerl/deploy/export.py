@@ -43,7 +43,7 @@ def export(settings: Mapping[str, Any], out: Path) -> dict[str, Any]:
         from racerl.deploy.onnx_file import onnx_bytes
     except ImportError as error:
         raise ConfigError("racerl export needs onnx: in your clone, pip install -e '.[export]'") from error
-    trained = load_trained(Path(settings["run"]))
+    trained = load_trained(Path(str(settings["run"])))
     policy, action, dt = trained.policy, trained.action, trained.dt
     origin, learned, manifest = trained.origin, trained.origin.settings, trained.origin.training.manifest
     driver = Driver.of(policy, trained.observation, action, dt)

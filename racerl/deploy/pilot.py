@@ -20,6 +20,7 @@ from racerl.deploy.trained import load_trained
 from racerl.env.memory import filled, moved_on
 from racerl.env.observations import scaled
 from racerl.env.race import Constants, View
+from racerl.errors import ConfigError
 from racerl.track.frenet import FrenetFrame
 from racerl.vehicle.kernel import choose_motion
 from racerl.vehicle.load import load_vehicle
@@ -48,7 +49,7 @@ class Order(NamedTuple):
     """What the car is told; `why` says what stands in the way where it has to stop."""
 
     delta_ref: float  # rad
-    drive_ref: float  # m/s or A
+    drive_ref: float  # m/s
     why: str
 
 
@@ -72,7 +73,7 @@ class Guard:
 
 
 class Pilot:
-    """Drives one car, its drive references at most `most`.
+    """Drives one car by steering angle and wheel speed, which is at most `most` in m/s either way.
 
     `delay` is by how many seconds orders act late, on top of what the vehicle says itself. Raises RunError, PolicyError
     or ConfigError for a run that cannot drive.
@@ -81,6 +82,11 @@ class Pilot:
     def __init__(self, run: Path, delay: float = 0.0, guard: Guard | None = None, most: float = math.inf) -> None:
         trained = load_trained(run)
         self.policy, self.observation, self.action = trained.policy, trained.observation, trained.action
+        if self.action.drive_mode != "wheel_speed":
+            raise ConfigError(
+                f"{run}: commands a {self.action.drive_mode}, and a car stands by a speed of 0; train with "
+                "action=speed_rate or action=speed"
+            )
         self.period = trained.dt
         self.frame = FrenetFrame(trained.track, CPU, torch.float32)
         settings = trained.origin.settings
@@ -132,7 +138,8 @@ class Pilot:
         delta_ref, drive_ref = command[:, 0].tolist()
         if not (math.isfinite(delta_ref) and math.isfinite(drive_ref)):
             return self._stop(now, "the policy gave no finite references")
-        drive_ref = min(drive_ref, self.most)  # what is told is what is known of: the car is driven forward with it
+        # what is told is what is known of: the car is driven forward with it
+        drive_ref = max(-self.most, min(drive_ref, self.most))
         self._rate = (drive_ref - drive) / self.period
         self._past = moved_on(self._past, state, torch.tensor([[delta_ref], [drive_ref]]))
         self._given.append((now, delta_ref, drive_ref))

@@ -17,7 +17,7 @@ def export_vehicle(settings: Mapping[str, Any], out: Path) -> dict[str, Any]:
 
     Raises VehicleError where the file is no vehicle.
     """
-    file = Path(settings["run"])
+    file = Path(str(settings["run"]))
     vehicle = load_vehicle({"file": str(file)})
     forms = {GYM: gym_form(vehicle), PACEJKA: pacejka_form(vehicle, file.stem)}
     folder = RunFolder.start(out, "export", settings)

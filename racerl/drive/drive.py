@@ -64,12 +64,15 @@ def drive(settings: Mapping[str, Any], out: Path) -> dict[str, Any] | None:
 
 @contextmanager
 def interrupted(leave: Callable[[], None]) -> Iterator[None]:
-    """Let Ctrl-C ask to leave, instead of breaking a control step off."""
-    previous = signal.signal(signal.SIGINT, lambda number, frame: leave())
+    """Let Ctrl-C, `kill` and a closed terminal ask to leave, instead of breaking a control step off."""
+    asking = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    heard = [number for number in asking if signal.getsignal(number) is not signal.SIG_IGN]
+    previous = {number: signal.signal(number, lambda number, frame: leave()) for number in heard}
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, previous)
+        for number, before in previous.items():
+            signal.signal(number, before)
 
 
 def require_pygame() -> None:

@@ -23,9 +23,7 @@ def build(settings: Mapping[str, Any], car: Car, seed: int) -> Race:
     # the observation is not looked at; the smallest one is
     world = {**settings, "obs": {"name": "progress"}, "action": {"name": ACTIONS.get(sim["drive"], "speed_rate")}}
     build_timing(settings)  # its numbers are checked there
-    world = combine(world, world, car)
-    world["sim"]["step"] = min(sim["step"], world["sim"]["step"])  # a motor needs its small step in any car
-    race = build_evaluation_race(world, [seed], torch.device("cpu"), car.estimate)
+    race = build_evaluation_race(combine(world, world, car), [seed], torch.device("cpu"), car.estimate)
     put(race, race.frame.wrap(torch.tensor([-RUN_UP])))
     return race
 

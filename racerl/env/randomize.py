@@ -45,6 +45,7 @@ class Randomization:
     def __post_init__(self) -> None:
         check_estimate("dr.estimate", self.estimate)
         bounds.number("dr.actions", self.actions, 0.0, 1.0)
+        bounds.switch("dr.each_lap", self.each_lap)
         if not isinstance(self.sigma, (int, float)) or not 0.0 <= self.sigma <= 1.0:
             raise ConfigError(f"dr.sigma = {self.sigma}: allowed is 0 … 1 (a share of each value)")
         if not isinstance(self.cars, str) or "\0" in self.cars:

@@ -42,7 +42,7 @@ def evaluate(
     """Evaluate the policy, or score the drive log, of `settings["run"]`; return the metrics written into `out`."""
     if Path(str(settings["run"])).is_file() or str(settings["run"]).startswith(PAPER):
         return _evaluate_log(settings, out)
-    run = Path(settings["run"])
+    run = Path(str(settings["run"]))
     origin = origin_of(run)
     seeds, laps = seeds_of(settings["seeds"]), bounds.whole("laps", settings["laps"], 1, 10_000)
     use_threads(settings["threads"])
@@ -141,7 +141,8 @@ def combine(trained: Mapping[str, Any], settings: Mapping[str, Any], car: Car) -
     combined["vehicle"] = car.wear(combined["vehicle"])
     # the car that is driven has actuators, whatever the policy was trained with, unless `sim` is asked for
     actuators = combined["sim"]["actuators"] if settings.get("sim") else car.actuators
-    step = combined["sim"]["step"] if car.step is None else car.step
+    step = combined["sim"]["step"]  # a motor needs its small one in any car
+    step = step if car.step is None else min(step, car.step)
     combined["sim"] = {**combined["sim"], "actuators": actuators, "step": step}
     return unlimited(combined)
 

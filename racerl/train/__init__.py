@@ -1,1 +1,1 @@
-"""Training a policy by proximal policy optimisation."""
+"""Training a policy: PPO or imitation, then an ascent or an evolution strategy; `racerl gap close`."""

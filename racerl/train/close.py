@@ -18,7 +18,7 @@ from racerl.control.policy import improved_by
 from racerl.data.load import load_given
 from racerl.documents import read_json, write_json
 from racerl.errors import ConfigError
-from racerl.evaluate.evaluate import evaluate
+from racerl.evaluate.evaluate import evaluate, seeds_of
 from racerl.evaluate.outcome import METRICS
 from racerl.gap.diagnose import MODEL, MODEL_BEFORE, VERDICT, gap
 from racerl.run import Compose, RunFolder, is_complete
@@ -52,6 +52,7 @@ def close(
             f"train = {mine[0]}: each policy has a vehicle of its own; real= is the car, gap= has the rest"
         )
     trainings = _trainings(settings)
+    seeds, laps = seeds_of(settings["seeds"]), bounds.whole("laps", settings["laps"], 1, 10_000)
     # what cannot be read is told before anything is written
     training = compose("train", [f"vehicle={settings['real']}", *words])
     load_vehicle(training["vehicle"])
@@ -84,8 +85,8 @@ def close(
         require_sound(trained)
         on_progress((i + 0.7) / len(jobs), f"{kind}, seed {seed}: racing")
         if not is_complete(raced):
-            race = [f"run={trained}", f"vehicle={settings['real']}", f"laps={settings['laps']}"]
-            evaluate(compose("evaluate", [*race, f"seeds={list(settings['seeds'])}"]), raced)
+            race = [f"run={trained}", f"vehicle={settings['real']}", f"laps={laps}", f"seeds={seeds}"]
+            evaluate(compose("evaluate", race), raced)
         seconds = RunFolder.open_complete(trained, "train").manifest["seconds"]
         shown = {key: read_json(raced / METRICS)[key] for key in SHOWN}
         rows[kind].append({"seed": seed, "training_s": seconds, **shown})

@@ -84,9 +84,11 @@ def improve(session: Session, plan: Improvement, policy: AnyPolicy, before: int,
     session.recall(state, before + first * plan.steps)
     clean = state["clean"] if state else 0.0 if session.best and _clean(session.best) else None
     now = session.seconds
+    failed = (state["nan_cars"] if state else 0) - _faults(session)  # in this process, before
 
     def keep() -> None:
-        facts = {"done": way.done, "clean": clean, "session": session.facts()}
+        nan_cars = failed + _faults(session)
+        facts = {"done": way.done, "clean": clean, "nan_cars": nan_cars, "session": session.facts()}
         checkpoint.keep(path, way.snapshot(), facts)
 
     with session.kept(keep) as between:
@@ -110,8 +112,14 @@ def improve(session: Session, plan: Improvement, policy: AnyPolicy, before: int,
     return {
         "steps": before + plan.count * plan.steps,
         plan.fact: plan.count,
+        "nan_cars": failed + _faults(session),
         "clean_after_s": None if clean is None else round(clean, 1),
     }
+
+
+def _faults(session: Session) -> int:
+    """Return how many cars have failed in this process, in all races of the session."""
+    return sum(race.faults for race in session.races)
 
 
 def falling(limits: Sequence[float], done: int, count: int) -> float:

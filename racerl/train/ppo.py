@@ -20,6 +20,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from torch import Tensor, nn
 
 from racerl import bounds
+from racerl.control.networks import SLOPE
 from racerl.control.policy import IMPROVEMENTS, AnyPolicy
 from racerl.env.adapters.sb3 import RaceVecEnv
 from racerl.env.race import Race
@@ -32,7 +33,14 @@ from racerl.train.rollout import Minibatch, Rollout
 from racerl.train.session import policy_of
 
 # greatest of the whole numbers of a budget, and least and greatest of the others
-WHOLE = {"steps": 10**12, "evaluations": 10**6, "cars": 10**6, "rollout": 10**6, "epochs": 10**4, "batch": 10**9}
+WHOLE = {
+    "steps": (1, 10**12),
+    "evaluations": (1, 10**6),
+    "cars": (1, 10**6),
+    "rollout": (1, 10**6),
+    "epochs": (1, 10**4),
+    "batch": (2, 10**9),  # advantages are taken relative to their deviation
+}
 RANGES = {
     "gamma": (0.0, 1.0),
     "gae_lambda": (0.0, 1.0),
@@ -93,10 +101,10 @@ class Budget:
         return budget
 
     def __post_init__(self) -> None:
-        for name, most in WHOLE.items():
+        for name, (least, most) in WHOLE.items():
             given = getattr(self, name)
             whole = int(given) if isinstance(given, float) and given.is_integer() else given  # 1e6 is one
-            object.__setattr__(self, name, bounds.whole(f"budget.{name}", whole, 1, most))
+            object.__setattr__(self, name, bounds.whole(f"budget.{name}", whole, least, most))
         for name, (low, high) in RANGES.items():
             optional = name in OPTIONAL
             if not (optional and getattr(self, name) is None):
@@ -155,6 +163,7 @@ class RacePPO(PPO):
         self.batch_size = budget.batch
         more = self._privileged().shape[1]
         self.rollout = Rollout(budget.rollout, race.count, race.observation.size, 2, race.device, more)
+        self.bonus = torch.zeros((), device=race.device)  # mean of what was paid for drifting in a step of it
         self.rate_factor = 1.0  # of the actor's scheduled learning rate, when it follows the KL divergence
         self.normaliser = Normaliser(race.observation.size, race.device)
         self._mean = self._build_actor()
@@ -193,6 +202,11 @@ class RacePPO(PPO):
         """Return a copy of the actor as a policy for the race it learns in."""
         return policy_of(copy.deepcopy(self.actor()), self.race, settings)
 
+    @property
+    def reward(self) -> float:
+        """Mean reward of the race in a step of the last rollout, without what is paid for drifting."""
+        return float(self.rollout.rewards.mean() - self.bonus)
+
     def _driver(self) -> Callable[[Tensor], Tensor]:
         """Return what gives the mean actions of one rollout, step by step."""
         return self.actor()
@@ -207,6 +221,7 @@ class RacePPO(PPO):
         observation, rollout, drive = self.race.observe(), self.rollout, self._driver()
         privileged = self._privileged()
         with torch.no_grad():
+            self.bonus = torch.zeros_like(self.bonus)
             noise = self.policy.log_std.exp() * torch.randn_like(rollout.actions)
             for t in range(n_rollout_steps):
                 action = drive(observation) + noise[t]
@@ -214,7 +229,9 @@ class RacePPO(PPO):
                 rollout.observations[t], rollout.actions[t], rollout.privileged[t] = observation, action, privileged
                 rollout.rewards[t] = step.reward
                 if self.drift is not None:
-                    rollout.rewards[t] += self.drift.pay(self.race, step, self.num_timesteps / self.budget.steps)
+                    paid = self.drift.pay(self.race, step, self.num_timesteps / self.budget.steps)
+                    rollout.rewards[t] += paid
+                    self.bonus += paid.mean() / n_rollout_steps
                 rollout.cut_off[t] = self._time_out_value(step.truncated, step.final_observation, privileged)
                 rollout.ended[t] = step.terminated | step.truncated
                 observation, privileged = step.observation, self._privileged()
@@ -309,7 +326,7 @@ class RacePPO(PPO):
         self.logger.record("train/explained_variance", 1.0 - float(residual / self.rollout.returns.var()))
         self.logger.record("train/std", float(self.policy.log_std.detach().exp().mean()))
         self.logger.record("train/learning_rate", scheduled * self.rate_factor)
-        self.logger.record("train/reward", float(self.rollout.rewards.mean()))
+        self.logger.record("train/reward", self.reward)
 
     def _minibatches(self) -> Iterator[tuple[Minibatch, Tensor]]:
         """Yield all samples of the rollout once, in random order, with the mean actions as they are by then."""
@@ -368,10 +385,10 @@ def actor_of(model: PPO) -> nn.Sequential:
 
 
 class _LeakyReLU(nn.LeakyReLU):
-    """LeakyReLU(0.2), as a class that Stable-Baselines3 can call without arguments."""
+    """LeakyReLU of the policies' slope, as a class that Stable-Baselines3 can call without arguments."""
 
     def __init__(self) -> None:
-        super().__init__(0.2)
+        super().__init__(SLOPE)
 
 
 class _NoBuffer(RolloutBuffer):

@@ -38,7 +38,7 @@ class Rollout:
         """Fill advantages and returns, given the value (N,) after the last step.
 
         A_t = δ_t + γλ c_t A_{t+1},  δ_t = r_t + b_t + γ c_t V_{t+1} − V_t,  c_t = 0 where an episode ended, else 1,
-        with b_t what was still to come where it was only cut off. Rewards stay those of the race.
+        with b_t what was still to come where it was only cut off. Rewards stay as they are.
         """
         continues = 1.0 - self.ended
         ahead = torch.cat([self.values[1:], last_value[None]])

@@ -113,10 +113,11 @@ class Examiner:
         return score(laps)
 
 
-def rank(result: Mapping[str, Any]) -> tuple[float, bool, bool, float]:
-    """Return a key that is smaller for a better result: fewer crashes, hardly off the track, then faster laps."""
+def rank(result: Mapping[str, Any]) -> tuple[bool, float, bool, bool, float]:
+    """Return a key that is smaller for a better result: laps at all, few crashes, hardly off the track, faster laps."""
     unclean = result["valid_laps"] < CLEAN * result["laps"]
-    return result["crash_share"], unclean, result["e_off"] > TOLERATED, result["settled_lap_s"] or math.inf
+    wide, lap = result["e_off"] > TOLERATED, result["settled_lap_s"] or math.inf
+    return not result["laps"], result["crash_share"], unclean, wide, lap
 
 
 class Session:
@@ -146,6 +147,12 @@ class Session:
         facts = {"seed": self.seed, "threads": self.settings["threads"], "device": str(self.device)}
         facts["files"] = files_read(self.settings)
         self.folder = RunFolder.start(self.out, "train", self.settings, **facts)
+        began = self.folder.manifest.get("files") or {}
+        if changed := [name for name, content in facts["files"].items() if began.get(name, content) != content]:
+            raise RunError(
+                f"out = {self.out}: {changed[0]} has changed since this training began; put it back, or choose "
+                "another out="
+            )
         self.failures = read_failures(self.folder.path)
         tensorboard = TensorBoardOutputFormat(str(self.folder.path / "tensorboard"))
         self.lines = JsonLines(self.folder.path / PROGRESS)

@@ -88,6 +88,8 @@ def require_sound(run: Path) -> None:
 
 def _finish(session: Session, facts: dict[str, Any]) -> None:
     """Mark the run complete; add to the facts what the policy is made of, and what the session knows."""
+    if session.logger.name_to_value:  # of the last examination and update
+        session.logger.dump(session.last.get("steps", facts["steps"]))
     facts |= {"made_of": learned(session.settings)}
     facts |= {"seconds": round(session.seconds, 1), "best": session.best}
     session.keep_failures()
@@ -119,7 +121,8 @@ def _improved(
         if session.logger.name_to_value:
             session.logger.dump(done["steps"])
         save_policy(load_policy(session.out), before, evaluation=session.best, learned=done, seconds=began)
-    return done | improve(session, improvement, load_policy(before, session.device), done["steps"], began)
+    facts = improve(session, improvement, load_policy(before, session.device), done["steps"], began)
+    return done | facts | {"nan_cars": done.get("nan_cars", 0) + facts["nan_cars"]}
 
 
 def _take_over(begun: Path, out: Path) -> None:

@@ -1,6 +1,8 @@
 """The ROS 2 node on a stub of rclpy, fed with bags that `racerl record` writes."""
 
+import contextlib
 import math
+import signal
 import sys
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -11,9 +13,11 @@ import yaml
 
 from racerl.config import compose_settings
 from racerl.data.messages import typestore
+from racerl.deploy.pilot import Order
 from racerl.deploy.ros2 import node
 from racerl.deploy.ros2.motion import Velocities
 from racerl.deploy.ros2.node import PARAMETERS, make_node
+from racerl.interruption import Terminated
 from racerl.record.record import record
 
 TOPICS = ("/pose", "/sensors/core", "/odom")
@@ -81,6 +85,33 @@ def ros(monkeypatch):
     for package, messages in kinds.items():
         stub(package)
         stub(f"{package}.msg", **messages)
+
+
+@pytest.mark.parametrize("end", [KeyboardInterrupt, Terminated(signal.SIGTERM), RuntimeError("a broken sensor")])
+def test_the_car_is_told_to_stand_however_it_ends(ros, monkeypatch, end):
+    """While the context is still open: rclpy's own handlers would have closed it."""
+    told = []
+
+    def spin(node):
+        raise end
+
+    rclpy = sys.modules["rclpy"]
+    rclpy.init = lambda signal_handler_options: told.append(signal_handler_options)
+    rclpy.spin, rclpy.try_shutdown = spin, lambda: told.append("shut down")
+    signals = ModuleType("rclpy.signals")
+    signals.SignalHandlerOptions = SimpleNamespace(NO="no handlers")
+    monkeypatch.setitem(sys.modules, "rclpy.signals", signals)
+    pilot = SimpleNamespace(
+        drive=SimpleNamespace(publish=told.append),
+        _message=lambda order: order,
+        get_logger=lambda: SimpleNamespace(warning=lambda line: None),
+        destroy_node=lambda: None,
+    )
+    monkeypatch.setattr(node, "make_node", lambda: pilot)
+    monkeypatch.setattr(node, "listen", lambda: told.append("listens"))
+    with contextlib.suppress(RuntimeError):
+        node.main()
+    assert told == ["no handlers", "listens", Order(0.0, 0.0, "ended"), "shut down"]
 
 
 @pytest.fixture(scope="module")

@@ -13,6 +13,7 @@ from racerl.deploy.pilot import Guard, Pilot, Sensed
 from racerl.env.observations import settings_of
 from racerl.errors import RacerlError
 from racerl.evaluate.evaluate import build_evaluation_race
+from racerl.train.train import train
 from racerl.vehicle.integrate import advance
 from racerl.vehicle.ops import TORCH
 
@@ -172,6 +173,16 @@ def test_it_stands_where_it_must_not_drive_and_drives_again_after_a_while(race, 
     assert [not each.why for each in again] == [False] * 4 + [True] * 2
     first = again[4]
     assert first.drive_ref == pytest.approx(what.omega, abs=0.3)  # goes on from where the wheel is
+
+
+def test_a_policy_that_commands_a_motors_current_is_refused(tmp_path):
+    """Its zero is no stop: the car would coast."""
+    train(
+        compose_settings("train", ["budget=smoke", "threads=1", "action=current", "sim=motor_current"]),
+        tmp_path / "run",
+    )
+    with pytest.raises(RacerlError, match="commands a motor_current"):
+        Pilot(tmp_path / "run")
 
 
 def test_a_run_that_cannot_drive_is_told(tmp_path, smoke_run):

@@ -149,6 +149,13 @@ def test_a_person_s_drive_is_called_human_and_closing_keeps_it(tmp_path, monkeyp
     assert np.abs(starts[["n", "v_x", "omega"]]).max().max() < 0.02
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_asked_to_end_it_keeps_what_was_driven(tmp_path, monkeypatch, number):
+    act_at(monkeypatch, {10: key(pygame.K_UP), 60: lambda: os.kill(os.getpid(), number)})
+    assert driven(tmp_path / "out", "input=keyboard") is None  # no counted lap
+    assert len(pd.read_parquet(tmp_path / "out" / LOG)) > 30
+
+
 def test_being_put_back_costs_the_counted_lap(tmp_path, monkeypatch):
     act_at(
         monkeypatch,

@@ -11,6 +11,7 @@ from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
 import racerl  # noqa: F401 (registers the environment)
 from racerl.env.adapters.sb3 import RaceVecEnv
+from racerl.errors import ConfigError
 from tests.env.test_race import make, place
 
 SMALL = ["budget=smoke"]
@@ -42,6 +43,11 @@ def test_vector_seeds_are_one_for_all_or_one_for_each():
     each, _ = environment.reset(seed=[1, 2, 1])
     assert np.array_equal(first, again)
     assert np.array_equal(each[0], each[2]) and not np.array_equal(each[0], each[1])
+    assert np.array_equal(first, environment.reset(seed=np.int64(7))[0])
+    apart, _ = environment.reset(seed=[None, None, 1])
+    assert not np.array_equal(apart[0], apart[1]) and np.array_equal(apart[2], each[2])
+    with pytest.raises(ConfigError, match="one seed is expected, or 3, one for each car"):
+        environment.reset(seed=[1, 2])
 
 
 def test_sb3_sees_the_end_of_episodes():

@@ -119,7 +119,9 @@ def test_every_module_is_found_and_builds(package):
         ({"name": "geometric", "points": 0}, "points"),
         ({"name": "os.system"}, "unknown"),
         ({"name": 3}, "unknown"),
-        ({"name": "geometric", "points": "many"}, "geometric"),
+        ({"name": "geometric", "points": "many"}, "obs.points = many"),
+        ({"name": "geometric", "points": 20.5}, "obs.points = 20.5"),
+        ({"name": "geometric", "spacing": True}, "obs.spacing = True"),
         ({"name": "geometric", "curvature_max": -1}, "curvature_max"),
         ({"name": "progress", "length": "far"}, "length"),
         ({"name": "history", "steps": 0}, "steps"),
@@ -158,3 +160,10 @@ def test_privileged_tells_nothing_of_a_car_that_is_as_modelled():
         make("obs=privileged", "obs.parameters=[grip]").observe()
     with pytest.raises(ConfigError, match="parameters = "):
         make("obs=privileged", "obs.parameters=[]")
+
+
+@pytest.mark.parametrize("limit", [{"drive_max": "abc"}, {"rate_max": 0}, {"steering_max": -0.5}])
+@pytest.mark.parametrize("name", registry.choices(actions))
+def test_limits_that_no_car_has_are_refused(name, limit):
+    with pytest.raises(ConfigError, match=f"action.{next(iter(limit))} = "):
+        registry.create(actions, {"name": name, **limit})

@@ -128,6 +128,12 @@ def test_the_driven_car_has_actuators_whatever_it_was_trained_with():
     assert "no actuator model" in label(trained) and "all σ = 0.1" in label(trained)
 
 
+def test_a_motor_keeps_its_small_step_in_any_car():
+    trained = compose_settings("train", ["sim=motor_current", "action=current"])
+    assert raced(trained, "car=twin")["sim"]["step"] == trained["sim"]["step"] == 0.001
+    assert raced(compose_settings("train", []), "car=twin")["sim"]["step"] == 0.005
+
+
 def test_the_twin_is_the_vehicle_with_what_training_never_sees():
     trained = compose_settings("train", ["vehicle=published", "+vehicle/effect=aero_drag"])
     twin = raced(trained, "car=twin")

@@ -118,6 +118,19 @@ def test_without_an_effect_there_is_nothing_to_train_with(diagnosed, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(("change", "said"), [({"laps": 0}, "laps = 0"), ({"seeds": []}, "seeds = ")])
+def test_races_that_cannot_be_are_told_before_anything_is_trained(diagnosed, tmp_path, change, said):
+    with pytest.raises(ConfigError, match=said):
+        close(settings_of(diagnosed, **change), tmp_path / "out", compose_settings)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_may_have_any_name(tmp_path):
+    odd = str(tmp_path / "a,b (Läufe)" / "old_0")
+    assert compose_settings("evaluate", [f"run={odd}"])["run"] == odd
+    assert compose_settings("evaluate", ["run=5"])["run"] == "5"
+
+
 @pytest.mark.parametrize("trainings", [[], [0, 0], [-1], "0"])
 def test_trainings_must_be_different_seeds(diagnosed, tmp_path, trainings):
     with pytest.raises(ConfigError, match="trainings"):

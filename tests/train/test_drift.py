@@ -49,22 +49,27 @@ def test_the_bonus_is_whole_at_first_and_fades_to_none():
     assert [DRIFT.worth(done) for done in (0.0, 0.2, 0.4, 0.6, 1.0)] == pytest.approx([5.0, 5.0, 2.5, 0.0, 0.0])
 
 
-def first_rollout(drift, begun):
-    """Return the rewards of a rollout after so many control steps, with the same actions whatever is paid."""
+def first_model(drift, begun=0):
+    """Return a learner that has driven one rollout after so many control steps: the same actions whatever is paid."""
     model = RacePPO(make(cars=32), Budget.of({**SMALL, "cars": 32}), 0, drift=drift)
     model.set_logger(configure(None, []))
     _, callback = model._setup_learn(SMALL["steps"])
     model.num_timesteps = begun
     torch.manual_seed(0)
     model.collect_rollouts(model.env, callback, model.rollout_buffer, model.n_steps)
-    return model.rollout.rewards
+    return model
 
 
 @pytest.mark.parametrize(("begun", "paid"), [(0, True), (SMALL["steps"], False)])
 def test_ppo_learns_from_it_until_it_has_faded(begun, paid):
-    rewards = [first_rollout(drift, begun) for drift in (None, DRIFT)]
+    rewards = [first_model(drift, begun).rollout.rewards for drift in (None, DRIFT)]
     more = rewards[1] - rewards[0]
     assert bool((more >= 0).all()) and bool((more > 0.01).any()) is paid and bool((more == 0).all()) is not paid
+
+
+def test_what_is_told_as_reward_is_the_races():
+    told = [first_model(drift).reward for drift in (None, DRIFT)]
+    assert told[0] == pytest.approx(told[1], abs=1e-6)
 
 
 @pytest.mark.parametrize(

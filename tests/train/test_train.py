@@ -22,6 +22,7 @@ from racerl.train.ppo import RacePPO
 from racerl.train.refinement import Search
 from racerl.train.session import rank
 from racerl.train.train import train
+from tests.conftest import CONF
 from tests.train.pulled import Plug, logged, pull_at
 from tests.train.short import ascent, refinement
 
@@ -33,7 +34,8 @@ def test_a_finished_run_holds_policy_log_and_manifest(smoke_run):
     assert folder.manifest["steps"] == 2048 and folder.manifest["seed"] == 0 and folder.manifest["threads"] == 1
     assert folder.manifest["made_of"] == "PPO"
     lines = [json.loads(line) for line in (smoke_run / "progress.jsonl").read_text().splitlines()]
-    assert [line["steps"] for line in lines] == [1024, 2048] and "train/reward" in lines[1]
+    assert [line["steps"] for line in lines] == [1024, 2048, 2048] and "train/reward" in lines[1]
+    assert "evaluation/crash_share" in lines[2] and "train/reward" in lines[2]  # of the last update and examination
     assert any((smoke_run / "tensorboard").iterdir()) and not (smoke_run / CHECKPOINT).exists()
     assert load_policy(smoke_run).sizes == [50, 32, 32, 2]
     assert folder.settings()["dr"]["sigma"] == 0.02
@@ -202,6 +204,17 @@ def test_a_refinement_that_diverges_leaves_the_policy_from_before(improver, word
     assert all(bool(weight.isfinite().all()) for weight in policy.network.parameters())
 
 
+def test_a_run_does_not_go_on_in_a_car_whose_file_has_changed(tmp_path):
+    model = tmp_path / "model.yaml"
+    model.write_text((CONF / "vehicle" / "published.yaml").read_text())
+    settings = compose_settings("train", [*SMOKE, f"vehicle={model}"])
+    with pytest.raises(Plug):
+        train(settings, tmp_path / "run", pull_at(1024))
+    model.write_text(model.read_text().replace("mass: ", "mass: 1"))
+    with pytest.raises(RunError, match=r"model\.yaml has changed since this training began"):
+        train(settings, tmp_path / "run")
+
+
 def test_results_are_never_overwritten(smoke_run, tmp_path):
     settings = compose_settings("train", [*SMOKE, "dr=friction_0.02"])
     with pytest.raises(RunError, match="already holds this very run"):
@@ -219,6 +232,7 @@ def test_results_are_never_overwritten(smoke_run, tmp_path):
     "change, said",
     [
         ({"seed": -1}, "seed"),
+        ({"budget": {**compose_settings("train", SMOKE)["budget"], "batch": 1}}, "budget.batch = 1"),
         ({"seed": "x"}, "seed"),
         ({"threads": 0}, "threads"),
         ({"device": "tpu"}, "device"),
@@ -240,6 +254,8 @@ def test_the_best_policy_is_kept():
     assert rank(clean) < rank({**clean, "settled_lap_s": 6.1})
     assert rank(clean) < rank({**clean, "crash_share": 0.1, "settled_lap_s": 5.0})
     assert rank(clean) < rank({**clean, "settled_lap_s": None})
+    crashed_once = {**clean, "crash_share": 0.03}
+    assert rank(crashed_once) < rank({**clean, "laps": 0, "valid_laps": 0, "settled_lap_s": None})  # it only crept
 
 
 def test_the_best_policy_may_leave_the_track_by_a_hair():

@@ -60,7 +60,7 @@ class Mpc:
     q_sideslip: float  # 1/(rad² s)
     q_steering: float  # 1/(rad² s)
     q_drive: float  # s/m²
-    q_boundary: float  # 1/s
+    q_boundary: float  # 1/(m s)
     room: float  # m, kept to the boundaries
     turn: float  # rad, the largest heading against the line
     damping: float

@@ -14,6 +14,7 @@ from typing import Any
 
 from racerl.deploy.pilot import Guard, Order, Pilot, Sensed
 from racerl.deploy.ros2.motion import Velocities
+from racerl.interruption import listen
 
 PARAMETERS: dict[str, Any] = {
     "run": "",  # folder of the training
@@ -128,16 +129,20 @@ def _kind(why: str) -> str:
 
 
 def main() -> None:
-    """Spin the node until it is asked to end; then tell the car to stand."""
+    """Spin the node until it is asked to end, or fails; then tell the car to stand."""
     import rclpy
+    from rclpy.signals import SignalHandlerOptions
 
-    rclpy.init()
+    # rclpy's own handlers close the context, and then nothing more can be told
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    listen()
     node = make_node()
     try:
         rclpy.spin(node)
     except KeyboardInterrupt:
-        node.drive.publish(node._message(Order(0.0, 0.0, "ended")))
+        node.get_logger().warning("standing: asked to end")
     finally:
+        node.drive.publish(node._message(Order(0.0, 0.0, "ended")))
         node.destroy_node()
         rclpy.try_shutdown()
 

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Protocol
 
 from torch import Tensor
 
-from racerl import registry
+from racerl import bounds, registry
 
 OMEGA_REF_MIN, OMEGA_REF_MAX = 0.01, 7.0  # m/s
 
@@ -34,6 +34,13 @@ class Action(Protocol):
 
     def initial(self, omega: Tensor) -> Tensor:
         """Return the drive reference (N,) of cars that start with wheel speed ω (N,)."""
+
+
+def check_limits(steering_max: float, drive_max: float, rate_max: float) -> None:
+    """Raise ConfigError for limits that no car could have."""
+    bounds.number("action.steering_max", steering_max, 0.01, 1.5, "rad")
+    bounds.number("action.drive_max", drive_max, 0.1, 1000.0, "m/s or A")
+    bounds.number("action.rate_max", rate_max, 0.01, 1e5, "of the drive reference per s")
 
 
 def middle(action: Action) -> float:

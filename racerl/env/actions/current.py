@@ -6,6 +6,8 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from racerl.env.actions import check_limits
+
 
 @dataclass(frozen=True)
 class Current:
@@ -16,6 +18,9 @@ class Current:
     rate_max: float = 1200.0  # A/s, only scales the observed change of current
     drive_mode: ClassVar[str] = "motor_current"
     integrated: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        check_limits(self.steering_max, self.drive_max, self.rate_max)
 
     @property
     def drive_min(self) -> float:

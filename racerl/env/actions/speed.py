@@ -6,7 +6,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from racerl.env.actions import OMEGA_REF_MAX, OMEGA_REF_MIN
+from racerl.env.actions import OMEGA_REF_MAX, OMEGA_REF_MIN, check_limits
 
 
 @dataclass(frozen=True)
@@ -18,6 +18,9 @@ class Speed:
     rate_max: float = 5.0  # m/s², only scales the observed change of ω_ref
     drive_mode: ClassVar[str] = "wheel_speed"
     integrated: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        check_limits(self.steering_max, self.drive_max, self.rate_max)
 
     @property
     def drive_min(self) -> float:

@@ -1,5 +1,7 @@
 """The race as Gymnasium environments: one car, or a batch that starts over within the step."""
 
+import secrets
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium
@@ -10,6 +12,7 @@ from gymnasium.vector.utils import batch_space
 
 from racerl.env.adapters.spaces import action_space, observation_space
 from racerl.env.race import Race
+from racerl.errors import ConfigError
 
 
 class RaceEnv(gymnasium.Env[np.ndarray, np.ndarray]):
@@ -49,12 +52,20 @@ class RaceVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.action_space = batch_space(self.single_action_space, race.count)
 
     def reset(
-        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Start all cars over; one seed for all, or a list with one for each."""
         if seed is not None:
-            self.race.reseed([seed] if isinstance(seed, int) else [int(s or 0) for s in seed])
+            self.race.reseed(self._seeds(seed))
         return self.race.reset().cpu().numpy(), {}
+
+    def _seeds(self, given: int | Sequence[int | None]) -> list[int]:
+        """Return one seed for all cars, or one for each; a car that is given none gets any."""
+        if not isinstance(given, Sequence):
+            return [int(given)]
+        if len(given) != self.num_envs:
+            raise ConfigError(f"seed = {list(given)}: one seed is expected, or {self.num_envs}, one for each car")
+        return [secrets.randbits(31) if seed is None else int(seed) for seed in given]
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Drive one control step with actions (N, 2) in [−1, 1]."""

@@ -1,6 +1,6 @@
 """The race as a Stable-Baselines3 VecEnv (numpy in, numpy out)."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -63,7 +63,3 @@ class RaceVecEnv(VecEnv):
     def env_is_wrapped(self, wrapper_class: type, indices: int | Iterable[int] | None = None) -> list[bool]:
         """Return False for every car."""
         return [False] * len(list(self._get_indices(indices)))
-
-    def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Seed the next reset."""
-        return super().seed(seed)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from racerl import bounds
 from racerl.env.actions import Action
 from racerl.env.observations import HEADING, V_X, V_Y, YAW_RATE, Seen, actuator_terms, actuators_seen, check_maxima
 from racerl.track.track import Track
@@ -30,8 +31,8 @@ class Geometric:
 
     def __post_init__(self) -> None:
         check_maxima(curvature_max=self.curvature_max, width_max=self.width_max)
-        if not 1 <= self.points <= 500 or not 0.01 <= self.spacing <= 50.0:
-            raise ValueError(f"points = {self.points} (1 … 500), spacing = {self.spacing} m (0.01 … 50)")
+        bounds.whole("obs.points", self.points, 1, 500)
+        bounds.number("obs.spacing", self.spacing, 0.01, 50.0, "m")
 
     @property
     def memory(self) -> int:

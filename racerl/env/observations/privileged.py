@@ -29,7 +29,7 @@ class Privileged(Geometric):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        bounds.number("spread", self.spread, 0.001, 1.0)
+        bounds.number("obs.spread", self.spread, 0.001, 1.0)
         names = self.parameters
         if not isinstance(names, list | tuple) or not names or not all(isinstance(name, str) for name in names):
             raise ValueError(f"parameters = {names!r}: a list of the vehicle's parameters is expected")

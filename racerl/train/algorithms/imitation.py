@@ -131,8 +131,7 @@ class Imitation:
                 steps = lessons.rounds * self.cars * self.steps
                 require_finite_weights({"policy": network.parameters()}, steps, "lower algo.learning_rate")
                 if last or lessons.rounds % self.examined_every == 0:
-                    # one flying lap from a standing start says little of the pace: the policy that has seen most is
-                    # kept
+                    # two laps from a slow start say little of the pace: the policy that has seen most is kept
                     session.examine(policy_of(network, race, session.settings), steps, improving=True)
                 session.logger.record("train/loss", loss)
                 session.logger.record("train/reward", reward)

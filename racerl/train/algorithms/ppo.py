@@ -115,7 +115,7 @@ class Trainer(BaseCallback):
                 total_steps=budget.steps,
                 seconds=self.session.seconds,
                 steps_per_s=(self.model.num_timesteps - self._first_step) / max(elapsed, 1e-9),
-                reward=float(self.model.rollout.rewards.mean()),
+                reward=self.model.reward,
                 evaluation=self.session.last,
             )
         )
