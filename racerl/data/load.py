@@ -88,8 +88,8 @@ def load_logs(paths: Sequence[Path], mapping: Mapping[str, Any]) -> list[Log]:
 def load_given(settings: Mapping[str, Any]) -> list[Log]:
     """Return the logs that `settings["logs"]` names, read through `settings["data"]`."""
     given = settings["logs"]
-    paths = [Path(str(path)) for path in (given or [] if isinstance(given, list | tuple) else [given or ""])]
-    paths = [path for path in paths if path.name]
+    listed = given if isinstance(given, list | tuple) else [given]
+    paths = [Path(str(path)) for path in listed if path not in (None, "")]
     if not paths:
         raise LogError("logs: none given; write the files of one layout, for instance drive.csv.gz")
     return load_logs(paths, settings["data"])
