@@ -4,8 +4,9 @@ What they make needless is taken out, and a rival that now explains more takes i
 identified again, and an effect goes whose interval then holds the value of no effect, or all of the floor as its place.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from racerl.gap.catalogue import PLACE, neutral, placed
 from racerl.gap.comparison import STAYS, CandidateScore, Judge, close
 from racerl.gap.decision import Decision, carried, changed, passes_less_noise
 from racerl.gap.evidence import Evidence
-from racerl.gap.investigation import Investigation
+from racerl.gap.fitted_model import FittedModel
 from racerl.gap.progress import OnProgress, silent
 from racerl.gap.uncertainty import intervals
 from racerl.vehicle import catalogue
@@ -46,8 +47,7 @@ def _judged_again(judge: Judge, decision: Decision, name: str) -> Decision:
     same = [row for row in rest if judge.one(first, row)]  # fits of one model: what holds for one holds for all
     near = [row for row in rest if close(row, first) and row.name not in others and row not in same]
     rivals = investigation.workers.each(lambda row: _instead(judge, lacking, row), near)
-    sound = [rival for rival in rivals if rival.stays and not passes_less_noise(judge, lacking, rival, STAYS)]
-    rows = judge.ranked([own, *sound], lacking.cost)
+    rows = judge.ranked([own, *_sound(judge, lacking, rivals)], lacking.cost)
     if rows[0].name == name:
         rows[1:1] = [replace(rows[0], name=row.name) for row in same]
     kept = dict((rows[0].name, rows) if other == name else (other, kept) for other, kept in decision.kept.items())
@@ -64,8 +64,12 @@ def _instead(judge: Judge, lacking: Decision, rival: CandidateScore) -> Candidat
     return judge.score(rival.name, carried(investigation, found), lacking)
 
 
-def settled(investigation: Investigation, decision: Decision) -> Decision:
-    """Identify everything again in all stages; take out effects whose interval then holds no effect, or any place."""
+def settled(judge: Judge, decision: Decision) -> Decision:
+    """Identify everything again in all stages; take out effects whose interval then holds no effect, or any place.
+
+    Rivals that are needed without them take their places: a bowl of which nobody knows where it is is a tilted floor.
+    """
+    investigation = judge.investigation
     while True:
         found = everywhere(investigation, decision.found)
         ranges = intervals(investigation, found)
@@ -74,8 +78,35 @@ def settled(investigation: Investigation, decision: Decision) -> Decision:
         ]
         if not idle:
             return replace(decision, found=found)
-        kept = {name: rows for name, rows in decision.kept.items() if name != idle[0]}
-        decision = changed(investigation, decision, kept, without(investigation, found, idle[0]))
+        decision = _without(judge, decision, idle[0], without(investigation, found, idle[0]))
+
+
+def _without(judge: Judge, decision: Decision, name: str, less: FittedModel) -> Decision:
+    """Return the decision, whose fit is `less`, without an effect; a rival of its round that is needed follows it."""
+    investigation = judge.investigation
+    others = {other: rows for other, rows in decision.kept.items() if other != name}
+    lacking = changed(investigation, decision, others, less)
+    asked = [row for row in decision.kept[name][1:] if row.needed and row.name not in others]
+    rivals = investigation.workers.each(lambda row: _instead(judge, lacking, row), asked)
+    rows = judge.ranked(_sound(judge, lacking, rivals), lacking.cost)
+    if not rows:
+        return lacking
+    seen = [_passed_on(each, name, rows[0].name) for each in decision.features]
+    followed = replace(decision, features=seen)
+    return changed(investigation, followed, {**others, rows[0].name: rows}, rows[0].found)
+
+
+def _passed_on(seen: Mapping[str, Any], name: str, heir: str) -> dict[str, Any]:
+    """Return what a round saw, where an effect is no candidate any more and another is first in its place."""
+    rows = [row for row in seen["candidates"] if row["name"] != name]
+    if seen["candidates"] and seen["candidates"][0]["name"] == name:
+        rows.sort(key=lambda row: row["name"] != heir)
+    return {**seen, "candidates": rows}
+
+
+def _sound(judge: Judge, lacking: Decision, rivals: Sequence[CandidateScore]) -> list[CandidateScore]:
+    """Return the rivals that held-out windows ask for, by what they know of the car."""
+    return [rival for rival in rivals if rival.stays and not passes_less_noise(judge, lacking, rival, STAYS)]
 
 
 def _idle(name: str, ranges: Mapping[str, tuple[float, float, float]]) -> bool:

@@ -54,7 +54,7 @@ def name_effects(investigation: Investigation, on_progress: OnProgress = silent)
             break
         found = carried(investigation, rows[0].found)
         decision = changed(investigation, decision, {**decision.kept, rows[0].name: rows}, found)
-    return settled(investigation, eliminated(judge, decision, within(on_progress, REVIEW, 1.0)))
+    return settled(judge, eliminated(judge, decision, within(on_progress, REVIEW, 1.0)))
 
 
 def _round(

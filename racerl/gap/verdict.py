@@ -73,18 +73,21 @@ def _without_effects(investigation: Investigation, decision: Decision, before: C
 def _with_effects(investigation: Investigation, decision: Decision, before: Costs, after: Costs) -> Verdict:
     effects, blind = tuple(decision.chosen), decision.score.hidden()
     unknown = partial(Verdict, "unknown", effects, (), blind)
-    stage, left, first = open_stage(investigation, decision, before, after)
+    moved = touched(investigation, decision.found.vehicle, effects)
+    stage, left, first = open_stage(investigation, decision, before, after, moved)
     if stage:
         return unknown(f"with {listed(effects)}, {left / first:.0%} of the excess in the {stage} stage stays")
-    moved = touched(investigation, decision.found.vehicle, effects)  # elsewhere an excess is chance
     had, rest = (total(parts[stage] for stage in moved) for parts in (before, after))
     explain = f"{listed(effects)} {'explains' if len(effects) == 1 else 'explain'}"
     if rest >= had:
         return unknown(f"{explain} nothing of the excess")
     share, noise = 1.0 - rest / had, sum(decision.noise[stage] for stage in moved)
     explained = f"{explain} {share:.0%} of the excess"
-    if decision.doubted:
+    if decision.doubted and set(_doubted_in(investigation, decision)) & set(moved):
         return unknown(f"{explained}; more is missing, like {decision.doubted}, but probably not it")
+    elsewhere = [name for name in decision.noise if name not in moved]  # where these effects do not act
+    if stage := open_stage(investigation, decision, before, after, elsewhere)[0]:
+        explained += f", and none of it in the {stage} stage, where more is missing that no known effect explains"
     foreign = investigation.shaped and rest < FOREIGN * noise
     coarse = any(_coarse(investigation, decision, stage, after[stage]) for stage in moved)
     if share < CREDIBLE and not foreign and not coarse:
@@ -94,6 +97,11 @@ def _with_effects(investigation: Investigation, decision: Decision, before: Cost
     if rivals := _rivals(decision, effects):
         return Verdict("ambiguous", effects, rivals, blind, f"{explained}; so does {listed(rivals, ' or ')}")
     return Verdict("named" if len(effects) == 1 else "multiple", effects, (), blind, explained)
+
+
+def _doubted_in(investigation: Investigation, decision: Decision) -> list[str]:
+    """Return the stages in which the effect in doubt acts."""
+    return touched(investigation, decision.rounds[-1][0].found.vehicle, [decision.doubted])
 
 
 def _rivals(decision: Decision, effects: Collection[str]) -> tuple[str, ...]:
@@ -136,11 +144,16 @@ def _unsettled(rows: Sequence[CandidateScore]) -> list[CandidateScore]:
 
 
 def open_stage(
-    investigation: Investigation, decision: Decision, before: Mapping[str, float], after: Mapping[str, float]
+    investigation: Investigation, decision: Decision, before: Costs, after: Costs, among: Collection[str] | None = None
 ) -> tuple[str, float, float]:
-    """Return the stage whose excess is real and not explained, with that and its first one, over the noise's cost."""
+    """Return the stage, `among` some or all, whose excess is real and not explained most of all.
+
+    With it come that excess and its first one, over the noise's cost.
+    """
     worst = ("", 0.0, 0.0)
     for name, noise in decision.noise.items():
+        if among is not None and name not in among:
+            continue
         left, first = after[name] / noise, before[name] / noise
         real = max(FOREIGN if investigation.shaped else REAL, CHANCE * investigation.chance[name])
         if decision.chosen and _coarse(investigation, decision, name, after[name]):

@@ -18,7 +18,7 @@ from racerl.gap.catalogue import neutral
 from racerl.gap.comparison import CandidateScore, Judge, Standing, close, equals
 from racerl.gap.decision import Decision, changed, passes_less_noise
 from racerl.gap.diagnose import _untestable, gap, next_manoeuvre
-from racerl.gap.elimination import _idle, _nowhere, eliminated
+from racerl.gap.elimination import _idle, _nowhere, eliminated, settled
 from racerl.gap.evidence import Evidence, contradictory
 from racerl.gap.growth import growth, places
 from racerl.gap.locate import BINS, _test
@@ -733,6 +733,7 @@ def test_a_name_that_resamples_shake_is_ambiguous_with_what_comes_out_instead(mo
             noise={"chassis": 1e5},
             score=Score([], np.zeros((0, 0)), np.zeros(0)),
             doubted="",
+            rounds=[[SimpleNamespace(found=SimpleNamespace(vehicle=None))]],
         )
         verdict = judge(SimpleNamespace(shaped=False), decision)
         assert (verdict.kind, verdict.rivals) == (kind, ("camber_thrust",) if kind == "ambiguous" else ())
@@ -740,6 +741,70 @@ def test_a_name_that_resamples_shake_is_ambiguous_with_what_comes_out_instead(mo
         verdict = judge(SimpleNamespace(shaped=False), decision)
         assert (verdict.kind, verdict.effects, verdict.rivals) == ("unknown", ("steering_offset",), ())
         assert "more is missing, like steering_nonlinearity" in verdict.reason
+
+
+@pytest.mark.parametrize(
+    ("left", "doubted", "kind"),
+    [
+        ({"drive": 2e3, "chassis": 12e3}, "", "named"),  # a tyre of another formula says nothing against a servo's name
+        ({"drive": 2e3, "chassis": 12e3}, "roll_dynamics", "named"),
+        ({"drive": 2e3, "chassis": 12e3}, "back_emf", "unknown"),
+        ({"drive": 2e5, "chassis": 3e3}, "", "unknown"),
+    ],
+)
+def test_what_is_left_where_an_effect_does_not_act_is_told_beside_its_name(monkeypatch, left, doubted, kind):
+    acts = {"current_limit": ["drive"], "back_emf": ["drive"], "roll_dynamics": ["chassis"]}
+    monkeypatch.setattr("racerl.gap.verdict.fitted", lambda *_: ({"drive": 4e5, "chassis": 12e3}, left))
+    monkeypatch.setattr("racerl.gap.verdict.touched", lambda data, vehicle, names: acts[next(iter(names))])
+    evidence = dict.fromkeys(left, SimpleNamespace(filtered=False))
+    investigation = SimpleNamespace(shaped=False, chance=dict.fromkeys(left, 0.005), evidence=evidence)
+    row = SimpleNamespace(name="current_limit", explained=0.99, behind=0.0, clear=True, size=1, leads=1.0)
+    decision = SimpleNamespace(
+        chosen=["current_limit"],
+        kept={"current_limit": [row]},
+        found=SimpleNamespace(vehicle=make_car("+vehicle/effect=current_limit")),
+        noise={"drive": 1e5, "chassis": 1e5},
+        score=Score([], np.zeros((0, 0)), np.zeros(0)),
+        doubted=doubted,
+        rounds=[[SimpleNamespace(found=SimpleNamespace(vehicle=None))]],
+    )
+    verdict = judge(investigation, decision)
+    assert (verdict.kind, verdict.effects) == (kind, ("current_limit",))
+    assert kind == "unknown" or "none of it in the chassis stage, where more is missing" in verdict.reason
+
+
+@pytest.mark.parametrize(("needed", "chosen"), [(True, ["road_slope"]), (False, [])])
+def test_a_rival_takes_the_place_of_an_effect_that_is_nowhere(monkeypatch, needed, chosen):
+    """A bowl whose middle is far off, nobody knows where, is a tilted floor."""
+
+    def fit(*names):
+        effects = dict.fromkeys(names)
+        return SimpleNamespace(names=set(names), vehicle=SimpleNamespace(effects=effects), cost={"chassis": 0.5})
+
+    def row(name, needed=True):
+        facts = {"needed": needed, "stays": needed, "explained": 0.9, "behind": 4.0}
+        return SimpleNamespace(name=name, found=fit(name), cost={}, **facts)
+
+    monkeypatch.setattr("racerl.gap.decision.noise_cost", lambda *_: {"chassis": 0.0})
+    monkeypatch.setattr("racerl.gap.decision.held_out", lambda investigation, found: found.cost)
+    monkeypatch.setattr("racerl.gap.decision.excess", lambda *_: 0.0)
+    monkeypatch.setattr(elimination, "everywhere", lambda investigation, found: found)
+    monkeypatch.setattr(elimination, "intervals", lambda investigation, found: {})
+    monkeypatch.setattr(elimination, "without", lambda investigation, found, name: fit(*found.names - {name}))
+    monkeypatch.setattr(elimination, "_idle", lambda name, ranges: False)
+    monkeypatch.setattr(elimination, "_nowhere", lambda name, ranges, evidence: name == "road_bank")
+    monkeypatch.setattr(elimination, "_instead", lambda judge, lacking, rival: rival)
+    monkeypatch.setattr(elimination, "passes_less_noise", lambda *_: False)
+    investigation = SimpleNamespace(workers=Workers(), floor={"chassis": 0.0}, seed=0, evidence={})
+    judge = SimpleNamespace(investigation=investigation, ranked=lambda rows, cost: list(rows))
+    kept = {"road_bank": [row("road_bank"), row("road_slope", needed)]}
+    found = fit("road_bank")
+    rows = [{"name": name} for name in ("road_bank", "aero_drag", "road_slope")]
+    seen = [{"candidates": rows}, {"candidates": rows[1:2]}]
+    decision = settled(judge, Decision(found, found.cost, {"chassis": 0.0}, None, kept, None, features=seen))
+    assert decision.chosen == chosen and decision.found.names == set(chosen)
+    first = [row["name"] for row in decision.features[0]["candidates"]]  # what hypotheses are told of
+    assert first == (["road_slope", "aero_drag"] if needed else ["road_bank", "aero_drag", "road_slope"])
 
 
 @pytest.mark.parametrize(
