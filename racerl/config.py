@@ -155,19 +155,27 @@ def composed(command: str) -> str:
 
 
 def make_env(overrides: Sequence[str] = (), seed: int = 0) -> "RaceEnv":
-    """Return one car as a Gymnasium environment, with the overrides of `racerl train`."""
+    """Return one car as a Gymnasium environment, with the overrides of `racerl train` but several tracks."""
     from racerl.assemble import build_race
     from racerl.env.adapters.gymnasium import RaceEnv
 
-    return RaceEnv(build_race(compose_settings("train", overrides), cars=1, seeds=[seed]))
+    return RaceEnv(build_race(_of_one_track(overrides), cars=1, seeds=[seed]))
 
 
 def make_vector_env(num_envs: int = 1, overrides: Sequence[str] = (), seed: int = 0) -> "RaceVectorEnv":
-    """Return a batch of cars as a Gymnasium vector environment, with the overrides of `racerl train`."""
+    """Return cars as a Gymnasium vector environment, with the overrides of `racerl train` but several tracks."""
     from racerl.assemble import build_race
     from racerl.env.adapters.gymnasium import RaceVectorEnv
 
-    return RaceVectorEnv(build_race(compose_settings("train", overrides), cars=num_envs, seeds=[seed]))
+    return RaceVectorEnv(build_race(_of_one_track(overrides), cars=num_envs, seeds=[seed]))
+
+
+def _of_one_track(overrides: Sequence[str]) -> Settings:
+    """Return the settings of `racerl train`; raise ConfigError for several tracks."""
+    settings = compose_settings("train", overrides)
+    if settings["track"].get(OTHERS):
+        raise ConfigError("track=[…]: an environment has one track; make one for each")
+    return settings
 
 
 def _compose(command: str, overrides: Sequence[str]) -> DictConfig:

@@ -284,6 +284,8 @@ def test_a_word_may_be_longer_than_a_file_name(tmp_path, monkeypatch):
 
 def test_environments_take_overrides():
     assert make_env(["obs=progress"]).observation_space.shape == (11,)
+    with pytest.raises(ConfigError, match="an environment has one track"):
+        make_env(["track=[l_shape,oval]"])
 
 
 def test_settings_of_further_tracks_keep_their_kinds(tmp_path, monkeypatch):
