@@ -345,6 +345,11 @@ def bench(
 
     Writes bench.json: seconds and ratios taken in one run, with threads, CPU and git sha.
     """
+    from racerl.config import bare_words
+
+    words = arguments or []
+    if not [*bare_words(words)] and not any(word.startswith(("-", "benchmark=")) for word in words):
+        raise ConfigError(f"which benchmark? There are {', '.join(choices('benchmark'))}: racerl bench identify")
     _run("bench", arguments, _bench, positional="benchmark")
 
 

@@ -144,6 +144,7 @@ def test_cfg_job_prints_the_composed_config(tmp_path, run):
         (["evaluate", "nowhere"], "no such file or folder"),
         (["report"], "no "),
         (["data"], "racerl data LOG…"),
+        (["bench"], "which benchmark? There are"),
         (["data", "nowhere.csv"], "no such file"),
         (["data", ".", "data=drat"], "did you mean dart"),
         (["data", ".", "data.savgol.window=4"], "odd number"),
