@@ -224,6 +224,7 @@ def _rewrite(command: str, arguments: Sequence[str], positional: str | None) -> 
     groups = set(default_groups(command))
     filed = _filed([*arguments, *(f"{positional}={word}" for word in arguments if "=" not in word)])
     filed |= groups & {MAPPING}
+    several = {"-m", "--multirun"} & {*arguments}
     words = iter(arguments)
     for word in words:
         if word.startswith("-"):
@@ -241,6 +242,8 @@ def _rewrite(command: str, arguments: Sequence[str], positional: str | None) -> 
             bare.append(word)
         elif "=" not in word and not word.startswith("~"):
             raise ConfigError(f"'{word}' is no override; write key=value, for instance dr=friction_0.02")
+        elif several and "," in word and word.partition("=")[0] in PLACES[2:]:
+            overrides.append(word)  # one run for each
         elif "track" in groups and re.match(r"\+?track=\[", word):
             overrides += _several_tracks(command, word, filed)
         else:

@@ -80,13 +80,14 @@ class Held:
         return self.number is not None
 
     def hear(self, number: int, frame: FrameType | None) -> None:
-        """Hold the first signal back, hand on the second; a closing terminal may send its own beside by itself."""
+        """Hold the first signal back, hand on the second; what a closing terminal or a cluster sends beside is none."""
         if self.number is None:
             log.warning("asked to stop: keeping what is done; ask again to leave at once")
             self.number = number
-        elif number != signal.SIGHUP:
-            self.number = None
+        elif number != signal.SIGHUP and (number == self.number or signal.SIGINT in (number, self.number)):
+            first, self.number = self.number, None
             self._hand_on(number, frame)
+            self.number = first
 
     def release(self) -> None:
         """Hand a signal that was held back to whom it was for, who will raise mostly."""

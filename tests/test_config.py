@@ -5,7 +5,7 @@ import pytest
 from racerl import registry
 from racerl.assemble import build_race
 from racerl.choices import default_groups
-from racerl.config import bare_words, compose_settings, make_env, run_command
+from racerl.config import _rewrite, bare_words, compose_settings, make_env, run_command
 from racerl.data.layout import read_layout
 from racerl.errors import ConfigError, RacerlError, TrackError, VehicleError
 from racerl.identify import methods
@@ -294,6 +294,11 @@ def test_settings_of_further_tracks_keep_their_kinds(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (other,) = compose_settings("train", ["track=[l_shape,mine]"])["track"]["others"]
     assert other == {"file": "a.yaml", "origin": [-1.0, 2.5, 0], "negate": True}
+
+
+def test_several_runs_are_several_under_multirun(tmp_path, monkeypatch):
+    assert _rewrite("evaluate", ["-m", "run=a,b"], None) == ["-m", "run=a,b"]
+    assert _rewrite("evaluate", ["run=a,b"], None) == ["run='a,b'"]
 
 
 def test_the_value_of_an_option_is_no_bare_word():

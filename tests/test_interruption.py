@@ -195,6 +195,18 @@ def test_another_signal_leaves_at_once_as_the_same_one_does():
     assert not kept and stop.value.number == signal.SIGTERM
 
 
+def test_what_a_cluster_sends_beside_is_no_second_request():
+    listen()
+    kept = []
+    with pytest.raises(Terminated), held_back() as asked:
+        os.kill(os.getpid(), signal.SIGTERM)
+        os.kill(os.getpid(), signal.SIGHUP)
+        time.sleep(0.01)
+        kept.append("work")
+        asked.release()
+    assert kept == ["work"]
+
+
 def test_a_signal_is_not_lost_where_the_loop_fails():
     listen()
     with pytest.raises(KeyboardInterrupt) as stop, held_back():

@@ -33,6 +33,7 @@ from racerl.data.differentiate import velocities
 from racerl.data.layout import COMMANDS, Layout, Source, read_layout
 from racerl.data.log import (
     CHANNELS,
+    JITTER,
     MOST_CUTS,
     OURS,
     POSE,
@@ -145,8 +146,9 @@ def _read(path: Path, layout: Layout) -> Log:
         pieces, more = _cut_table(path.name, table, sources, layout)
         log = _assemble(path.name, pieces, layout, layout.resample, (*remarks, *more))
     said = _slow_pose(1.0 / log.dt) if {*POSE} <= {*log.channels} else ()
-    clock = table["t"].to_numpy()
-    reckoned = _is_reckoned({channel: Stream(clock, table[channel].to_numpy()) for channel in POSE if channel in table})
+    poses = table[["t", *(channel for channel in POSE if channel in table)]].dropna()
+    clock = poses["t"].to_numpy()
+    reckoned = _is_reckoned({channel: Stream(clock, poses[channel].to_numpy()) for channel in POSE if channel in poses})
     log = replace(log, remarks=(*log.remarks, *said), reckoned=reckoned)
     return replace(log, wheelbase=layout.vehicle.wheelbase, shift=layout.shift)
 
@@ -437,14 +439,12 @@ def _assemble(name: str, pieces: list[Piece], layout: Layout, rate: float | None
         pieces = [_since(origin, piece) for piece in pieces]
     pieces, leaps = _without_leaps(name, pieces, layout.gap)
     said += leaps
+    if derive and not rate and (rate := _even_rate(name, pieces)):
+        said.append(f"sampled at {rate:.4g} Hz, for its times are uneven and velocities are made from its poses")
     expected = sum((piece.t[-1] - piece.t[0]) * rate + 1 for piece in pieces) if rate else 0
     if expected > MAX_ROWS:
         raise LogError(f"{name}: {expected:.3g} rows at data.resample = {rate:g} Hz; at most {MAX_ROWS} are made")
-    steps = np.concatenate([np.diff(piece.t) for piece in pieces])
-    if derive and not rate and len(steps) and np.ptp(steps) > EVEN * float(np.median(steps)):
-        rate = 1.0 / float(np.median(steps))
-        said.append(f"sampled at {rate:.4g} Hz, for its times are uneven and velocities are made from its poses")
-    dt = 1.0 / rate if rate else float(np.median(steps)) if len(steps) else 1.0  # s
+    dt = 1.0 / rate if rate else _median_step(pieces)
     tables, short = [], 0
     for number, piece in enumerate(pieces):
         t = _grid(piece.t, rate) if rate else piece.t
@@ -466,6 +466,26 @@ def _assemble(name: str, pieces: list[Piece], layout: Layout, rate: float | None
     if all(isinstance(i, int | np.integer) for i in ids) and len(set(ids)) == len(ids):
         tables = [table.assign(run=i) for table, i in zip(tables, ids, strict=True)]
     return Log.from_table(name, pd.concat(tables, ignore_index=True), tuple(said))
+
+
+def _median_step(pieces: Sequence[Piece]) -> float:
+    steps = np.concatenate([np.diff(piece.t) for piece in pieces])
+    return float(np.median(steps)) if len(steps) else 1.0  # s
+
+
+def _even_rate(name: str, pieces: Sequence[Piece]) -> float | None:
+    """Return the rate in Hz to sample pieces at whose times are uneven; None where they are even.
+
+    Raises LogError where most steps are no sample time.
+    """
+    dt = _median_step(pieces)
+    off = np.concatenate([np.abs(np.diff(piece.t) - dt) for piece in pieces]) / dt
+    if (share := float((off > JITTER).mean()) if len(off) else 0.0) > MOST_CUTS:
+        raise LogError(
+            f"{name}: {share:.0%} of its steps are not its usual {dt:.4g} s, and velocities are made from its poses; "
+            "give the rate that it was sampled at: data.resample=50"
+        )
+    return 1.0 / dt if (off > EVEN).any() else None
 
 
 def _since(origin: float, piece: Piece) -> Piece:

@@ -150,16 +150,14 @@ def complete_rows(name: str, table: pd.DataFrame) -> tuple[NDArray[np.bool_], tu
     Infinities are read as missing: both are gaps in what was measured. Raises LogError where a channel has so many that
     no runs are left.
     """
-    columns = ["t", *(column for column in table if column in CHANNELS)]
-    finite = np.isfinite(table[columns].to_numpy())
-    complete = finite.all(axis=1)
-    if "run" in table:
-        complete &= table["run"].notna().to_numpy()
+    known = {name: np.isfinite(table[name].to_numpy()) for name in table if name == "t" or name in CHANNELS}
+    known |= {name: table[name].notna().to_numpy() for name in table if name == "run"}
+    complete = np.all([*known.values()], axis=0)
     if complete.all():
         return complete, ()
     apart = np.diff(np.flatnonzero(complete)) > 1
-    if complete.mean() < 0.5 or apart.mean() > MOST_CUTS:
-        worst = columns[int(finite.mean(axis=0).argmin())]
+    if complete.mean() < 0.5 or (apart.any() and apart.mean() > MOST_CUTS):
+        worst = min(known, key=lambda name: known[name].mean())
         raise LogError(
             f"{name}: {1 - complete.mean():.0%} of the rows miss a value, most of them {worst}, and runs are split at "
             f"each; take {worst} out of the file, or fill its gaps"

@@ -73,7 +73,7 @@ class Guard:
 
 
 class Pilot:
-    """Drives one car by steering angle and wheel speed, which is at most `most` in m/s either way.
+    """Drives one car by steering angle and wheel speed, which is at most `most` in m/s.
 
     `delay` is by how many seconds orders act late, on top of what the vehicle says itself. Raises RunError, PolicyError
     or ConfigError for a run that cannot drive.
@@ -139,7 +139,7 @@ class Pilot:
         if not (math.isfinite(delta_ref) and math.isfinite(drive_ref)):
             return self._stop(now, "the policy gave no finite references")
         # what is told is what is known of: the car is driven forward with it
-        drive_ref = max(-self.most, min(drive_ref, self.most))
+        drive_ref = min(drive_ref, self.most)
         self._rate = (drive_ref - drive) / self.period
         self._past = moved_on(self._past, state, torch.tensor([[delta_ref], [drive_ref]]))
         self._given.append((now, delta_ref, drive_ref))

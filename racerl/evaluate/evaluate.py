@@ -13,6 +13,7 @@ import torch
 from racerl import bounds
 from racerl.assemble import Car, build_race, check_settings, choose_device, files_read, unlimited, use_threads
 from racerl.control.policy import FACTS, UNREFINED, improved_by, load_policy
+from racerl.data.layout import read_layout
 from racerl.documents import read_json
 from racerl.env.race import Race
 from racerl.env.randomize import Randomization
@@ -40,6 +41,7 @@ def evaluate(
     settings: Mapping[str, Any], out: Path, on_progress: Callable[[float, str], None] = lambda share, remark: None
 ) -> dict[str, Any]:
     """Evaluate the policy, or score the drive log, of `settings["run"]`; return the metrics written into `out`."""
+    read_layout(settings["data"])  # of a log; its keys are told from others here, whatever is scored
     if Path(str(settings["run"])).is_file() or str(settings["run"]).startswith(PAPER):
         return _evaluate_log(settings, out)
     run = Path(str(settings["run"]))

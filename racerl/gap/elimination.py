@@ -15,6 +15,7 @@ from racerl.gap.catalogue import PLACE, neutral, placed
 from racerl.gap.comparison import STAYS, CandidateScore, Judge, close
 from racerl.gap.decision import Decision, carried, changed, passes_less_noise
 from racerl.gap.evidence import Evidence
+from racerl.gap.features import features
 from racerl.gap.fitted_model import FittedModel
 from racerl.gap.progress import OnProgress, silent
 from racerl.gap.uncertainty import intervals
@@ -86,22 +87,22 @@ def _without(judge: Judge, decision: Decision, name: str, less: FittedModel) -> 
     investigation = judge.investigation
     others = {other: rows for other, rows in decision.kept.items() if other != name}
     lacking = changed(investigation, decision, others, less)
-    asked = [row for row in decision.kept[name][1:] if row.needed and row.name not in others]
+    own = {row.name: row for rows in decision.rounds for row in rows}  # a rival that is one with it has its fit
+    asked = [own[row.name] for row in decision.kept[name][1:] if row.needed and row.name not in others]
     rivals = investigation.workers.each(lambda row: _instead(judge, lacking, row), asked)
     rows = judge.ranked(_sound(judge, lacking, rivals), lacking.cost)
     if not rows:
         return lacking
-    seen = [_passed_on(each, name, rows[0].name) for each in decision.features]
-    followed = replace(decision, features=seen)
+    followed = replace(decision, features=_passed_on(decision.features, name, features(judge, lacking, rows)))
     return changed(investigation, followed, {**others, rows[0].name: rows}, rows[0].found)
 
 
-def _passed_on(seen: Mapping[str, Any], name: str, heir: str) -> dict[str, Any]:
-    """Return what a round saw, where an effect is no candidate any more and another is first in its place."""
-    rows = [row for row in seen["candidates"] if row["name"] != name]
-    if seen["candidates"] and seen["candidates"][0]["name"] == name:
-        rows.sort(key=lambda row: row["name"] != heir)
-    return {**seen, "candidates": rows}
+def _passed_on(seen: Sequence[Mapping[str, Any]], name: str, follows: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return what rounds saw, with the one that found an effect as it `follows` without; neither comes up later."""
+    out = {name, follows["candidates"][0]["name"]}
+    found = next(i for i, each in enumerate(seen) if each["candidates"] and each["candidates"][0]["name"] == name)
+    later = [{**each, "candidates": [row for row in each["candidates"] if row["name"] not in out]} for each in seen]
+    return [*map(dict, seen[:found]), follows, *later[found + 1 :]]
 
 
 def _sound(judge: Judge, lacking: Decision, rivals: Sequence[CandidateScore]) -> list[CandidateScore]:

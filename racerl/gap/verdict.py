@@ -7,7 +7,7 @@ under_excited   nothing is left, but the log would not have shown most of them; 
 named           one effect is needed, and no other explains the data as well
 multiple        several effects, each needed beside the others
 ambiguous       another effect explains the data as well
-unknown         what is left is real, and no known effect explains it
+unknown         what is left is real, where effects that were found act, and no known effect explains it
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -86,8 +86,9 @@ def _with_effects(investigation: Investigation, decision: Decision, before: Cost
     if decision.doubted and set(_doubted_in(investigation, decision)) & set(moved):
         return unknown(f"{explained}; more is missing, like {decision.doubted}, but probably not it")
     elsewhere = [name for name in decision.noise if name not in moved]  # where these effects do not act
-    if stage := open_stage(investigation, decision, before, after, elsewhere)[0]:
-        explained += f", and none of it in the {stage} stage, where more is missing that no known effect explains"
+    stage, left, _ = open_stage(investigation, decision, before, after, elsewhere)
+    if stage:
+        explained += f"; in the {stage} stage an excess of {left:.0%} over the noise's cost stays without a name"
     foreign = investigation.shaped and rest < FOREIGN * noise
     coarse = any(_coarse(investigation, decision, stage, after[stage]) for stage in moved)
     if share < CREDIBLE and not foreign and not coarse:

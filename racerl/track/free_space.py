@@ -16,6 +16,7 @@ log = logging.getLogger(__name__)
 
 IMAGE_SUFFIXES = (".png", ".pgm", ".bmp", ".jpg", ".jpeg")
 MAX_PIXELS = 100_000_000
+UNKNOWN = 205  # what ROS writes for cells that nobody has seen, with thresholds between which it may not lie
 
 
 class FreeSpace:
@@ -33,9 +34,10 @@ class FreeSpace:
         if self.resolution <= 0 or len(self.origin) < 2:
             raise TrackError(f"track {path}: resolution {self.resolution:g} and origin {self.origin} make no map")
         self.image = _find_image(path, str(settings.get("image", "")))
-        grey = _read_image(self.image) / 255.0
+        image = _read_image(self.image)
+        grey = image / 255.0
         # ROS: occupancy p = (255 − x)/255, negated p = x/255; between the thresholds a cell is unknown
-        self.free = ((grey if negate else 1.0 - grey) < min(free, occupied))[::-1]
+        self.free = (((grey if negate else 1.0 - grey) < min(free, occupied)) & (image != UNKNOWN))[::-1]
 
     @property
     def turned(self) -> float:

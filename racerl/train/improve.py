@@ -84,7 +84,7 @@ def improve(session: Session, plan: Improvement, policy: AnyPolicy, before: int,
     session.recall(state, before + first * plan.steps)
     clean = state["clean"] if state else 0.0 if session.best and _clean(session.best) else None
     now = session.seconds
-    failed = (state["nan_cars"] if state else 0) - _faults(session)  # in this process, before
+    failed = (state.get("nan_cars", 0) if state else 0) - _faults(session)  # in this process, before
 
     def keep() -> None:
         nan_cars = failed + _faults(session)

@@ -260,9 +260,19 @@ def test_velocities_from_poses_at_uneven_times_are_those_of_the_car(tmp_path, t)
     assert any("sampled at 100 Hz" in line for line in log.remarks)
 
 
+def test_poses_that_come_in_pairs_are_refused_with_what_to_give(tmp_path):
+    pairs = np.sort(np.concatenate([0.04 * np.arange(500), 0.04 * np.arange(500) + 0.0002]))
+    path = save(turning(pairs), tmp_path / "a.csv")
+    with pytest.raises(LogError, match=r"50% of its steps are not its usual .*: data\.resample=50"):
+        load(path)
+    np.testing.assert_allclose(load(path, resample=50).array("v_x"), 2.0, atol=0.01)
+
+
 def test_poses_of_a_table_that_move_along_their_heading_are_reckoned(driven, tmp_path):
     reckoned = turning(np.arange(2000) * 0.01).assign(v_x=2.0, v_y=0.0, yaw_rate=0.3)
     path = save(reckoned, tmp_path / "a.csv")
+    gap = reckoned.assign(yaw=reckoned["yaw"].where(reckoned.index != 3))
+    assert load(save(gap, tmp_path / "c.csv")).reckoned
     assert load(path).reckoned and not load(save(driven, tmp_path / "b.csv")).reckoned
     with pytest.raises(LogError, match="reckoned from wheel and steering"):
         load_measured({"logs": [str(path)], "data": mapping("drive_log")})
@@ -274,6 +284,8 @@ def test_an_empty_column_is_left_out_and_a_sparse_one_is_named(driven, tmp_path)
     sparse = driven.assign(current=np.where(np.arange(len(driven)) % 3, 1.0, np.nan))
     with pytest.raises(LogError, match="33% of the rows miss a value, most of them current"):
         load(save(sparse, tmp_path / "b.csv"))
+    with pytest.raises(LogError, match="most of them run"):
+        load(save(driven.assign(run=driven["run"].where(driven.index % 3 > 0)), tmp_path / "d.csv"))
     with pytest.raises(LogError, match="no number in any column"):
         load(save(driven[["t"]].assign(v_x=np.nan), tmp_path / "c.csv"))
 

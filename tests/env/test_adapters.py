@@ -44,6 +44,7 @@ def test_vector_seeds_are_one_for_all_or_one_for_each():
     assert np.array_equal(first, again)
     assert np.array_equal(each[0], each[2]) and not np.array_equal(each[0], each[1])
     assert np.array_equal(first, environment.reset(seed=np.int64(7))[0])
+    assert np.array_equal(each, environment.reset(seed=np.array([1, 2, 1]))[0])
     apart, _ = environment.reset(seed=[None, None, 1])
     assert not np.array_equal(apart[0], apart[1]) and np.array_equal(apart[2], each[2])
     with pytest.raises(ConfigError, match="one seed is expected, or 3, one for each car"):

@@ -9,12 +9,14 @@ import pytest
 import torch
 
 from racerl import registry
+from racerl.record.ability import _static_loads
+from racerl.record.record import slips
 from racerl.vehicle import effects
 from racerl.vehicle.effects import Effect
 from racerl.vehicle.integrate import advance
 from racerl.vehicle.ops import TORCH, CasadiOps
 from racerl.vehicle.parameter import replace_values, specifications, values
-from racerl.vehicle.vehicle import STATE, Vehicle
+from racerl.vehicle.vehicle import GRAVITY, STATE, Vehicle
 from tests.vehicle.conftest import EFFECTS, make_car, random_states, travel
 
 ODD = ("y", "yaw", "v_y", "yaw_rate", "delta")  # change sign in the mirror
@@ -211,3 +213,17 @@ def test_every_parameter_has_unit_bounds_and_meaning(any_car):
     for name, specification in specifications(any_car).items():
         assert specification.low < specification.high and specification.meaning, name
         assert specification.low <= values(any_car)[name] <= specification.high, name
+
+
+def test_what_is_told_of_a_drive_goes_by_where_the_centre_of_gravity_is():
+    words = "+vehicle/effect=cog_longitudinal_offset", "vehicle.effects.cog_longitudinal_offset.offset=0.05"
+    for car in (make_car(), make_car(*words)):
+        front, rear = _static_loads(car)
+        assert front + rear == pytest.approx(float(car.mass) * GRAVITY)
+        states, _ = random_states(car, 20)
+        states[3] = states[3].abs() + 1.0  # m/s, where no standstill rounds the slips
+        told = slips(car, states[:8].T.numpy())
+        steady = car.slips(car.motion(states), TORCH)
+        assert np.tan(told["alpha_r"]).to_numpy() == pytest.approx(steady.alpha_r.numpy(), abs=1e-9)
+        V_x, V_y = car.front_velocity(car.motion(states), TORCH)
+        assert told["alpha_f"].to_numpy() == pytest.approx(-np.arctan2(V_y.numpy(), V_x.abs().numpy()), abs=1e-9)

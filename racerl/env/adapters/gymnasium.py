@@ -61,11 +61,11 @@ class RaceVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     def _seeds(self, given: int | Sequence[int | None]) -> list[int]:
         """Return one seed for all cars, or one for each; a car that is given none gets any."""
-        if not isinstance(given, Sequence):
-            return [int(given)]
-        if len(given) != self.num_envs:
-            raise ConfigError(f"seed = {list(given)}: one seed is expected, or {self.num_envs}, one for each car")
-        return [secrets.randbits(31) if seed is None else int(seed) for seed in given]
+        seeds = np.asarray(given, dtype=object)
+        each = np.atleast_1d(seeds).tolist()
+        if seeds.ndim and len(each) != self.num_envs:
+            raise ConfigError(f"seed = {each}: one seed is expected, or {self.num_envs}, one for each car")
+        return [secrets.randbits(31) if seed is None else int(seed) for seed in each]
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Drive one control step with actions (N, 2) in [−1, 1]."""
