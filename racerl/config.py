@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from racerl.env.adapters.gymnasium import RaceEnv, RaceVectorEnv
 
 VERSION_BASE = "1.3"
+LOG_ENDINGS = (".csv", ".csv.gz", ".parquet", ".db3", ".mcap", ".zip")
 PLACES = ("out", "from", "run", "real")  # keys of one file or folder
 MAPPING = "data"  # the group of which a file need not name every key
 FILE_GROUPS = {"track": (".csv", ".yaml", ".yml"), "vehicle": (".yaml", ".yml"), "controller": (".yaml", ".yml")}
@@ -238,7 +239,7 @@ def _rewrite(command: str, arguments: Sequence[str], positional: str | None) -> 
                 options += [] if value is None else [value]
                 if word in ("--config-dir", "-cd") and value:
                     _check_user_files(Path(value))
-        elif positional and not word.startswith("~") and ("=" not in word or _there(word, Path.is_dir)):
+        elif positional and not word.startswith("~") and ("=" not in word or _names_place(word)):
             bare.append(word)
         elif "=" not in word and not word.startswith("~"):
             raise ConfigError(f"'{word}' is no override; write key=value, for instance dr=friction_0.02")
@@ -252,6 +253,11 @@ def _rewrite(command: str, arguments: Sequence[str], positional: str | None) -> 
         given = _bare_override(positional, bare)
         overrides += _rewrite_override(f"{positional}={bare[0]}", groups, filed) if positional in groups else [given]
     return [*options, *overrides]
+
+
+def _names_place(word: str) -> bool:
+    """Return whether a word with a = is a folder's name, or a log's, rather than an override."""
+    return _there(word, Path.is_dir) or (word.lower().endswith(LOG_ENDINGS) and _there(word))
 
 
 def _names_file(word: str, group: str) -> bool:
@@ -443,7 +449,9 @@ def _listed(value: str) -> list[str]:
 
 def quote(value: str) -> str:
     """Return a word in quotes that Hydra reads back as it is."""
-    return "'" + value.replace("\\", "\\\\").replace("'", "\\'") + "'"
+    # backslashes count before a quote only; a dollar with a brace would stand for another key
+    kept = re.sub(r"(\\*)('|$)", lambda found: 2 * found[1] + ("\\'" if found[2] else ""), value)
+    return "'" + kept.replace("${", "\\${") + "'"
 
 
 def _check_keys(command: str, settings: Settings) -> None:

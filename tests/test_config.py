@@ -303,3 +303,11 @@ def test_several_runs_are_several_under_multirun(tmp_path, monkeypatch):
 
 def test_the_value_of_an_option_is_no_bare_word():
     assert [*bare_words(["--cfg", "job", "ablations", "seed=1", "-m", "~dr"])] == ["ablations"]
+
+
+@pytest.mark.parametrize("name", ["a b", "it's", "a\\b", "a\\", "${x}", "Läufe, alle", "mu=0.5.csv"])
+def test_a_name_of_any_letters_is_read_back_as_it_is(tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / name).touch()
+    assert compose_settings("data", [], {"logs": [name]})["logs"] == [name]
+    assert _rewrite("data", [name], "logs")[0].startswith("logs=[")

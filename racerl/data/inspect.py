@@ -12,6 +12,7 @@ A lag is positive when the car answers later than the channel. Every warning is 
 
 import itertools
 import math
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -23,7 +24,7 @@ from numpy.typing import NDArray
 from racerl.data.agreement import Comparison, compare_with_poses, differences
 from racerl.data.differentiate import slope, smoothed
 from racerl.data.lag import ENOUGH, MAX_LAG, Lag, best_lag, correlation_lag, reach, smoothing
-from racerl.data.log import CHANNELS, VELOCITY, Log
+from racerl.data.log import CHANNELS, POSE, VELOCITY, Log
 
 Array = NDArray[np.float64]
 
@@ -54,6 +55,8 @@ RECKONED = (
 )
 ANGLES, SPEEDS = {"deg": 180 / math.pi}, {"km/h": 3.6, "mm": 1000.0}  # other units, and factors of ours to them
 GAIN = 0.02  # by which a shift must raise the explained share to be believed
+RATIOS = {"omega": (0.8, 1.25), "omega_ref": (0.7, 1.45)}  # to v_x on straights, within which slip and calibration lie
+UNLIKE, LIKE, TURNED = 0.7, 0.9, 0.35  # of directions and headings, 0 … 1; rad
 
 
 def inspect(log: Log, wheelbase: float | None = None) -> dict[str, Any]:
@@ -66,6 +69,7 @@ def inspect(log: Log, wheelbase: float | None = None) -> dict[str, Any]:
     if compared and compared.lag:
         lags["yaw to yaw_rate"] = compared.lag
     contradictions = list(_contradictions(compared)) if compared else []
+    units = [*([] if contradictions else _heading(log)), *_signs_and_units(log, wheelbase)]
     return {
         "name": log.name,
         "rows": len(log.table),
@@ -83,11 +87,11 @@ def inspect(log: Log, wheelbase: float | None = None) -> dict[str, Any]:
             *_constant(log),
             *_held(log),
             *_clipped(log),
-            *_signs_and_units(log, wheelbase),
+            *units,
             *([RECKONED] if log.reckoned else []),
             *contradictions,
             *(_apart(compared) if compared else []),
-            *_lag_warnings(lags, log.shift),
+            *_lag_warnings(lags, log.shift, units),
             *_doubled(log),
         ],
     }
@@ -349,10 +353,15 @@ def _explained(features: Array, target: Array, small: Array) -> float:
     return max(0.0, float(1.0 - np.var(centred - matrix @ weights) / np.var(target)))
 
 
-def _lag_warnings(lags: dict[str, Lag], shift: Mapping[str, float]) -> Iterator[str]:
-    """Yield a line for each channel that comes too early or too late, after the `shift` in s that it has been given."""
+def _lag_warnings(lags: dict[str, Lag], shift: Mapping[str, float], units: Sequence[str]) -> Iterator[str]:
+    """Yield a line for each channel that comes too early or too late, after the `shift` in s that it has been given.
+
+    Not for those whose sign or unit is told to be wrong: these look late then.
+    """
     for key, (ahead, behind, least) in LIMITS.items():
         lag, name = lags.get(key), key.split(" ")[0]
+        if any(re.search(rf"\b{name}\b", line) or "heading" in line for line in units):
+            continue
         if lag is None or lag.best < least or lag.best - lag.unshifted < (1e-3 if "curvature" in key else GAIN):
             continue
         answer = "the yaw rate" if name in ("delta", "delta_ref") else "the acceleration"
@@ -416,6 +425,52 @@ def _clipped(log: Log) -> Iterator[str]:
 # ---- signs and units
 
 
+def _heading(log: Log) -> Iterator[str]:
+    """Yield what is wrong with a pose that does not move the way it points; a car slips to both sides alike."""
+    if not _has(log, *POSE):
+        return
+    span = max(1, round(0.1 / log.dt))
+    ways, yaws, wheels = [], [], []
+    for run in log.runs():
+        x, y, yaw = (run[name].to_numpy() for name in POSE)
+        dx, dy = (each[2 * span :] - each[: -2 * span] for each in (x, y))
+        fast = np.hypot(dx, dy) > MOVING * 2 * span * log.dt
+        ways.append(np.arctan2(dy, dx)[fast])
+        yaws.append(yaw[span:-span][fast])
+        wheels.append(run["omega"].to_numpy()[span:-span][fast] if "omega" in run else np.zeros(int(fast.sum())))
+    way, yaw, wheel = (np.concatenate(each) if each else np.zeros(0) for each in (ways, yaws, wheels))
+    if len(way) < ENOUGH:
+        return
+    kept, off = _alike(way, yaw)
+    ahead = np.sign(wheel) if np.any(wheel) else np.ones(len(way))
+    if np.mean(np.cos(way - yaw - off) * ahead) < 0.0 < UNLIKE <= kept and abs(off) > TURNED:
+        off -= math.copysign(math.pi, off)
+    others = {said: _alike(way, other) for said, other in _other_headings(yaw).items()}
+    best = max(others, key=lambda said: (round(others[said][0], 1), -abs(others[said][1])))
+    if kept < UNLIKE and others[best][0] > LIKE:
+        yield f"the heading does not follow the way that the pose moves: {best}"
+    elif kept >= UNLIKE and abs(off) > TURNED:
+        turned = f"{math.degrees(off):+.0f}° off the way that the pose moves"
+        yield f"the heading is {turned}: add {off:.4g} to data.frame.yaw"
+    elif np.mean(np.cos(way - yaw) * np.sign(wheel)) < -0.5:
+        yield "the heading points backwards while omega is forwards: add 3.1416 to data.frame.yaw, or turn omega's sign"
+
+
+def _other_headings(yaw: Array) -> dict[str, Array]:
+    """Return what a heading may be that is none of ours, and what it would be then in rad."""
+    return {
+        "yaw in deg? scale: 0.0174533": np.radians(yaw),
+        "turned the other way round, or y (or x) has the other sign?": -yaw,
+        "x and y exchanged, or a compass's heading, clockwise from y?": math.pi / 2 - yaw,
+    }
+
+
+def _alike(way: Array, yaw: Array) -> tuple[float, float]:
+    """Return how alike directions and headings are, 0 … 1, and how far apart in rad, forwards or backwards."""
+    mean = np.exp(2j * (way - yaw)).mean()
+    return float(abs(mean)), float(np.angle(mean)) / 2.0
+
+
 def _signs_and_units(log: Log, wheelbase: float) -> Iterator[str]:
     moving = _moving(log)
     for name in ("delta", "delta_ref"):
@@ -439,6 +494,8 @@ def _signs_and_units(log: Log, wheelbase: float) -> Iterator[str]:
                     f"{_factor(size, 'yaw_rate', name, ANGLES)} "
                     f"Check the units and data.vehicle.wheelbase = {wheelbase:g} m"
                 )
+    if "v_x" in log.table and moving.sum() < ENOUGH:
+        yield f"it hardly drives forwards faster than {MOVING:g} m/s: signs, units and lags are not checked"
     yield from _wheel_unit(log, moving)
 
 
@@ -454,7 +511,7 @@ def _wheel_unit(log: Log, moving: NDArray[np.bool_]) -> Iterator[str]:
         ratio = float(np.median(wheel / speed))
         if ratio < -0.2:
             yield f"{name} has the opposite sign of v_x (ratio {ratio:.2f}); turn the sign of its scale"
-        elif not 0.7 < ratio < 1.45:
+        elif not RATIOS[name][0] < ratio < RATIOS[name][1]:
             # another unit is the same at every speed, a limit is not; one command alone cannot tell them apart
             unit = _factor(ratio, name, "v_x", SPEEDS)
             limited = name == "omega_ref" and ratio > 1.0 and np.percentile(wheel, 95) < 1.1 * np.percentile(wheel, 5)

@@ -165,6 +165,8 @@ def _source(channel: str, where: str, entry: Any) -> Source:
     if bounds.number(f"{where}.scale", source.scale, -1e9, 1e9, CHANNELS[channel].unit) == 0.0:
         raise ConfigError(f"{where}.scale = 0: would wipe the channel out; give another factor")
     bounds.number(f"{where}.offset", source.offset, -1e9, 1e9, CHANNELS[channel].unit)
+    if source.points and (source.scale != 1.0 or source.offset != 0.0):
+        raise ConfigError(f"{where}: has points, beside which scale and offset would say nothing; give one of both")
     return source
 
 

@@ -63,8 +63,11 @@ SAME = 1e-6  # s within which two stamps are one; clock times are known to 2e-7 
 # and a multiple of what is usual in the log, allow
 SPIKES = {"x": (100.0, 0.005), "y": (100.0, 0.005), "yaw": (500.0, 0.01)}  # m/s², m; rad/s², rad
 USUAL = 20.0
+LOOKS = "; looks like"
 TOLD, WIDEST = 8, 40  # columns that are not read, by name; characters of one
 LEAP = 100.0  # m/s between two samples of a pose that no small car does
+# a step of a pose is a jump, too, where it is longer than those beside it by more than this, and than cars speed up
+JUMP, HARDEST = 0.05, 100.0  # m, m/s²
 EVEN = 0.01  # of the sample time by which steps may differ where velocities are made from poses: 3 mm/s at 2 m/s
 PAUSE = 1.0  # s without a new value, from which on a held channel is told of
 
@@ -188,6 +191,7 @@ def _read_gzip(path: Path) -> bytes:
 
 
 def _read_csv(path: Path, content: bytes) -> pd.DataFrame:
+    content = _without_comments(content)
     header = content[: MAX_HEADER_BYTES + 1].split(b"\n", 1)[0]
     if len(header) > MAX_HEADER_BYTES or header.count(b",") >= MAX_COLUMNS:
         raise LogError(f"{path}: its first line is no header; at most {MAX_COLUMNS} columns are read")
@@ -201,6 +205,17 @@ def _read_csv(path: Path, content: bytes) -> pd.DataFrame:
         except UnicodeDecodeError as error:
             raise LogError(f"{path}: is no UTF-8 text (byte {_unread(content, error)}); save it as UTF-8") from error
     return _limited(path, table)
+
+
+def _without_comments(content: bytes) -> bytes:
+    """Return a table's text without the lines with a # above its header, or a header that has one itself without it."""
+    last = b""
+    while content.startswith(b"#") and b"\n" in content:
+        last, content = content.split(b"\n", 1)
+    first = content.split(b"\n", 1)[0]
+    if last and re.match(rb"[\s\"]*[-+.\d]", first):  # numbers already
+        return last.lstrip(b"# ") + b"\n" + content
+    return content
 
 
 def _read_parquet(path: Path) -> pd.DataFrame:
@@ -250,7 +265,7 @@ def _columns(table: pd.DataFrame) -> list[str]:
 
 
 def _likely(columns: Sequence[str]) -> str:
-    """Return "; looks like data=…" for the packaged mapping that fits best, else what to do."""
+    """Return LOOKS data=… for the packaged mapping that fits best, else what to do."""
     best, most = "", 0
     for path in sorted((conf_folder() / "data").glob("*.yaml")):
         try:
@@ -261,7 +276,7 @@ def _likely(columns: Sequence[str]) -> str:
         fitting = sum(column in columns for column in named or CHANNELS)
         if not layout.of_bag and layout.time.column in columns and fitting > most:
             best, most = path.stem, fitting
-    return f"; looks like data={best}" if best else "; write a mapping of its columns (see conf/data/dart.yaml)"
+    return f"{LOOKS} data={best}" if best else "; write a mapping of its columns (see conf/data/dart.yaml)"
 
 
 def _named(
@@ -270,15 +285,21 @@ def _named(
     """Return the rows that count, with t, run and the channels in their units; where these are from; remarks."""
     have = _columns(table)
     if layout.time.column not in have:
-        near = suggest(layout.time.column, have, most=1) if not _likely(have).startswith("; looks") else ""
-        raise LogError(f"{path}: has no time column '{layout.time.column}'{near}{_likely(have)}")
+        near = suggest(layout.time.column, have, most=1) if not _likely(have).startswith(LOOKS) else ""
+        times = [name for name in have if re.fullmatch(r"(time|t|stamp|timestamp|sec|secs|seconds)", name.lower())]
+        likely = _likely(have)
+        cure = f"; data.time.column={times[0]} takes that one" if times and not likely.startswith(LOOKS) else likely
+        raise LogError(f"{path}: has no time column '{layout.time.column}'{near}{cure}")
     plain = {name: (Source(column=name, hold=name in COMMANDS),) for name in CHANNELS if name in have}
     sources = layout.channels or plain
     chosen = {name: next((s for s in several if s.column in have), None) for name, several in sources.items()}
     found = {name: source for name, source in chosen.items() if source is not None}
     if not found:
         raise LogError(f"{path}: has none of the columns that its mapping names{_likely(have)}")
-    remarks = [f"no column for {name}: untestable" for name in chosen if name not in found]
+    remarks = []
+    for name in (name for name in chosen if name not in found):
+        alike = difflib.get_close_matches(sources[name][0].column, have, n=1, cutoff=0.6) if layout.channels else []
+        remarks.append(f"no column for {name}: untestable" + (f"; did you mean {alike[0]}?" if alike else ""))
     if not layout.channels:
         remarks += _passed_over(have, layout)
     found = {name: found[name] for name in _counting(found, layout)}
@@ -293,19 +314,25 @@ def _named(
     rows = table[keep]
     if len(rows) < 2:
         raise LogError(f"{path}: data.require leaves {len(rows)} of {len(table)} rows; check its values")
-    t = layout.time.scale * _numeric(path, rows[layout.time.column])
+    t = layout.time.scale * _seconds(path, rows[layout.time.column])
     named: dict[str, Any] = {"t": t}
     if layout.run is not None and layout.run in have:
         named["run"] = rows[layout.run].to_numpy()
     for name, source in found.items():
         values = source.convert(_numeric(path, rows[source.column]))
         if np.isfinite(values).any():
-            named[name] = values
+            named[name] = _going_on(values, named.get("run")) if source.hold else values
         else:
             remarks.append(f"{name} is no number in any row: untestable")
     if not any(name in CHANNELS for name in named):
         raise LogError(f"{path}: holds no number in any column that its mapping names")
     return pd.DataFrame(named), found, tuple(remarks)
+
+
+def _going_on(values: Array, run: Array | None) -> Array:
+    """Return a held channel whose last value counts until the next one of its run."""
+    known = pd.Series(values).where(np.isfinite(values))
+    return (known.ffill() if run is None else known.groupby(run, sort=False, dropna=False).ffill()).to_numpy()
 
 
 def _passed_over(have: Sequence[str], layout: Layout) -> Iterator[str]:
@@ -329,9 +356,22 @@ def _counting(channels: Iterable[str], layout: Layout) -> list[str]:
     return [name for name in names if not (made and name in VELOCITY)]
 
 
+def _seconds(path: Path, column: pd.Series) -> Array:
+    """Return a column of times as numbers: dates become seconds."""
+    if pd.api.types.is_numeric_dtype(column):
+        return _numeric(path, column)
+    try:
+        dates = pd.to_datetime(column, utc=True, format="ISO8601")
+    except (ValueError, TypeError, OverflowError):
+        return _numeric(path, column)  # which says what is wrong
+    return np.where(dates.isna(), np.nan, dates.astype("datetime64[ns, UTC]").astype("int64") * 1e-9)
+
+
 def _numeric(path: Path, column: pd.Series) -> Array:
     if not pd.api.types.is_numeric_dtype(column) or pd.api.types.is_bool_dtype(column):
-        raise LogError(f"{path}: column '{column.name}' is not numeric; is it another file or a broken line?")
+        odd = column[column.notna() & pd.to_numeric(column, errors="coerce").isna()]
+        where = f" (row {odd.index[0] + 1}: {str(odd.iloc[0])[:WIDEST]!r})" if len(odd) else ""
+        raise LogError(f"{path}: column '{column.name}' is not numeric{where}; is it another file or a broken line?")
     if pd.api.types.is_complex_dtype(column):
         raise LogError(f"{path}: column '{column.name}' holds complex numbers; give real ones")
     return column.to_numpy(dtype=np.float64, na_value=np.nan)
@@ -548,8 +588,10 @@ def _without_leaps(name: str, pieces: list[Piece], gap: float) -> tuple[list[Pie
     whole, leaps = [], 0
     for piece in pieces:
         x, y = (_sample(piece.streams[channel], piece.t, channel, gap) for channel in ("x", "y"))
+        way, dt = np.hypot(np.diff(x), np.diff(y)), np.diff(piece.t)
+        beside = np.maximum(np.concatenate([[np.inf], way[:-1]]), np.concatenate([way[1:], [np.inf]]))
         # the slack lets positions be measured by a millimetre at any rate
-        leap = np.hypot(np.diff(x), np.diff(y)) > LEAP * np.diff(piece.t) + 1e-3
+        leap = (way > LEAP * dt + 1e-3) | (way > beside + JUMP + HARDEST * dt**2)
         leaps += int(leap.sum())
         whole += [replace(piece, t=piece.t[start:stop]) for start, stop in _spans(leap)]
     if leaps > max(10, 0.01 * sum(len(piece.t) for piece in pieces)):

@@ -41,6 +41,7 @@ POSE, VELOCITY = ("x", "y", "yaw"), ("v_x", "v_y", "yaw_rate")
 LABEL = "manoeuvre"  # column of a recorded log: what was driven
 OURS = (LABEL, "seed", "lap", "travelled", "s", "n", "heading", "offset", "margin")  # columns that racerl adds
 JITTER = 0.2  # of the sample time by which a step may differ within a run
+UNITS_OF_TIME = {1e-3: "ms", 1e-6: "µs", 1e-9: "ns"}
 MOST_CUTS = 0.2  # of the steps at which runs may be split; beyond it the log has another fault
 
 
@@ -136,12 +137,24 @@ def sample_time(name: str, table: pd.DataFrame) -> float:
     if back > 0.01 * len(steps) or ("run" in table and back):
         first = rows[int(np.argmax(steps <= 0))]
         where = f"first from {t[first - 1]:.10g} to {t[first]:.10g} s in row {first}"
-        cure = "drop doubled rows; several drives in one file need a column run with a number for each"
-        raise LogError(f"{name}: time does not increase at {back} of {len(steps)} rows, {where}; {cure}")
+        raise LogError(f"{name}: time does not increase at {back} of {len(steps)} rows, {where}; {_in_order(steps)}")
     dt = round(float(np.median(steps[steps > 0])), 9)
     if not 1e-4 <= dt <= 0.5:
-        raise LogError(f"{name}: {dt:.4g} s between samples; allowed is 0.0001 … 0.5 s; is the time in another unit?")
+        scale = next((scale for scale in (1e-3, 1e-6, 1e-9) if 1e-3 <= scale * dt <= 0.1), None)
+        cure = f" data.time.scale={scale:g} for {UNITS_OF_TIME[scale]}" if scale else ""
+        raise LogError(
+            f"{name}: {dt:.4g} s between samples; allowed is 0.0001 … 0.5 s; is the time in another unit?{cure}"
+        )
     return dt
+
+
+def _in_order(steps: NDArray[np.float64]) -> str:
+    """Return what to do about steps of time (s), of which many are none or lead back."""
+    if (steps < 0).mean() > MOST_CUTS:
+        return "sort its rows by t, or give the column that has the time: data.time.column="
+    if (steps == 0).mean() > MOST_CUTS:
+        return "its stamps are too coarse to tell samples apart; write them with all their digits"
+    return "drop doubled rows; several drives in one file need a column run with a number for each"
 
 
 def complete_rows(name: str, table: pd.DataFrame) -> tuple[NDArray[np.bool_], tuple[str, ...]]:
@@ -160,7 +173,8 @@ def complete_rows(name: str, table: pd.DataFrame) -> tuple[NDArray[np.bool_], tu
         worst = min(known, key=lambda name: known[name].mean())
         raise LogError(
             f"{name}: {1 - complete.mean():.0%} of the rows miss a value, most of them {worst}, and runs are split at "
-            f"each; take {worst} out of the file, or fill its gaps"
+            f"each; take {worst} out of the file, or where channels have clocks of their own fill commands forward, "
+            "interpolate the others and give a rate, as data.resample=100"
         )
     return complete, (f"{(~complete).sum()} rows with a missing value left out; runs are split there",)
 

@@ -24,7 +24,7 @@ from racerl.data.messages import (
     usual_field,
 )
 from racerl.documents import conf_folder, read_yaml
-from racerl.errors import LogError
+from racerl.errors import LogError, RacerlError
 
 UNMAPPED = "drive_log"  # the mapping of commands that were given none
 
@@ -73,7 +73,10 @@ def fitting(topics: Sequence[Topic]) -> tuple[str, Layout] | None:
     """Return the usable shipped mapping that finds most channels, and among equals most of its first choices."""
     best, most = None, (0, 0)
     for path in sorted((conf_folder() / "data").glob("*.yaml")):
-        layout = read_layout(read_yaml(path))
+        try:
+            layout = read_layout(read_yaml(path))
+        except RacerlError:  # what is wrong with it is told where it is chosen
+            continue
         channels = found(layout, topics)
         passed_over = sum(
             [source.topic for source in layout.channels[channel]].index(taken.topic)

@@ -223,3 +223,35 @@ def test_rounded_rows_that_are_alike_by_chance_are_not_driven_twice(driven):
     rounded = driven[["t", "run", "v_x", "yaw_rate"]].round({"v_x": 1, "yaw_rate": 1})
     first, second = (Log.from_table(name, rows) for name, rows in (("a", rounded[:3000]), ("b", rounded[3000:])))
     assert not any("twice" in line for line in inspect(first)["warnings"]) and compare([first, second]) == []
+
+
+POSES = {
+    "y mirrored": (lambda t: t.assign(y=-t["y"]), "turned the other way round"),
+    "x and y exchanged": (lambda t: t.assign(x=t["y"], y=t["x"]), "x and y exchanged"),
+    "a compass": (lambda t: t.assign(yaw=np.pi / 2 - t["yaw"]), "clockwise from y"),
+    "degrees": (lambda t: t.assign(yaw=np.degrees(t["yaw"])), "yaw in deg"),
+    "a quarter turn": (lambda t: t.assign(yaw=t["yaw"] + np.pi / 2), "add -1.5"),
+    "half a turn": (lambda t: t.assign(yaw=t["yaw"] + np.pi), "points backwards while omega is forwards"),
+}
+
+
+@pytest.mark.parametrize("fault", POSES)
+def test_a_pose_that_does_not_move_the_way_it_points_is_told_without_velocities_too(driven, fault):
+    spoil, said = POSES[fault]
+    found = warnings(spoil(driven[["t", "run", "x", "y", "yaw", "omega"]]))
+    assert any("heading" in line and said in line for line in found), found
+    assert not any("heading" in line for line in warnings(driven))
+
+
+@pytest.mark.parametrize(
+    ("fault", "said"),
+    [({"omega": 1.3}, "omega is 1.29 times v_x"), ({"delta_ref": -1.0}, "delta_ref and yaw_rate have opposite")],
+)
+def test_a_channel_of_another_scale_is_not_told_to_be_late(driven, fault, said):
+    found = warnings(driven.assign(**{name: scale * driven[name] for name, scale in fault.items()}))
+    assert any(said in line for line in found) and not any("data.shift" in line for line in found), found
+
+
+def test_a_car_that_never_drives_on_is_not_checked_and_that_is_said(driven):
+    found = warnings(driven.assign(v_x=0.1 * driven["v_x"]))
+    assert "it hardly drives forwards faster than 0.8 m/s: signs, units and lags are not checked" in found

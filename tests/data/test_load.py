@@ -301,3 +301,52 @@ def test_the_column_that_is_read_says_whether_it_is_held(tmp_path, held, expecte
     sources = [{"column": "a", "hold": not held}, {"column": "b", "hold": held}]
     log = load(save(table, tmp_path / "a.csv"), channels={"delta": sources}, resample=100)
     assert log.array("delta")[:4] == pytest.approx(expected)
+
+
+def test_commands_that_are_logged_when_they_change_count_until_the_next(driven, tmp_path):
+    fresh = driven["delta_ref"].diff().fillna(1.0) != 0.0
+    first = driven["run"].diff().fillna(1.0) != 0.0  # nothing goes on from the run before
+    changes = driven.assign(delta_ref=driven["delta_ref"].where(fresh | first))
+    np.testing.assert_array_equal(load(save(changes, tmp_path / "a.csv")).array("delta_ref"), driven["delta_ref"])
+    without = driven.assign(delta_ref=driven["delta_ref"].where(driven["run"] > 0))
+    assert set(load(save(without, tmp_path / "b.csv")).table["run"]) == {1, 2}
+
+
+@pytest.mark.parametrize("size", [0.1, 0.5])
+def test_a_pose_that_jumps_for_good_cuts_the_run(driven, tmp_path, size):
+    away = np.where(np.arange(len(driven)) > 700, size, 0.0)
+    jumped = driven[["t", "run", "x", "y", "yaw", "omega"]].assign(x=driven["x"] + away)
+    log = load(save(jumped, tmp_path / "a.csv"))
+    usual = load(save(jumped.assign(x=driven["x"]), tmp_path / "b.csv"))
+    assert "the position jumps at 1 rows; runs are split there" in log.remarks
+    assert log.array("v_x").max() < usual.array("v_x").max() + 0.2 and usual.remarks == log.remarks[1:]
+
+
+@pytest.mark.parametrize("how", ["a comment above", "a header with a #"])
+def test_lines_above_the_header_are_no_rows(driven, tmp_path, how):
+    text = driven.to_csv(index=False)
+    path = tmp_path / "a.csv"
+    path.write_text("# recorded on Monday\n# by car 3\n" + text if how == "a comment above" else "# " + text)
+    assert len(load(path).table) == len(driven)
+
+
+def test_dates_are_times(driven, tmp_path):
+    dated = driven.assign(t=pd.Timestamp("2026-03-01T10:00:00Z") + pd.to_timedelta(driven["t"], unit="s"))
+    for name in ("a.csv", "a.parquet"):
+        log = load(save(dated, tmp_path / name))
+        assert log.dt == 0.01 and len(log.table) == len(driven)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda t: t.sample(frac=1.0, random_state=0), "sort its rows by t"),
+        (lambda t: t.assign(t=t["t"].round(1)), "stamps are too coarse"),
+        (lambda t: t.assign(t=1e3 * t["t"]), "another unit. data.time.scale=0.001 for ms"),
+        (lambda t: t.rename(columns={"t": "Time"}), "data.time.column=Time takes that one"),
+        (lambda t: t.assign(x=t["x"].astype(str).where(t.index != 7, "--")), r"row 8: '--'"),
+    ],
+)
+def test_what_is_wrong_with_a_table_is_said_with_a_cure(driven, tmp_path, spoil, said):
+    with pytest.raises(LogError, match=said):
+        load(save(spoil(driven.drop(columns="run")[:2000]), tmp_path / "a.csv"))
