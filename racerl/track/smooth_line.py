@@ -2,7 +2,8 @@
 
 Its offsets n from the centreline minimise ∫κ² ds, linearised about the last solution a few times over, with |n| at most
 the half-width less a margin. Towards the centre of a bend that is wider than its radius points crowd and the linearised
-problem goes astray; there n may be kept to a share of the radius. Of the lines with several shares the best is taken.
+problem goes astray; there n may be kept to a share of the radius. Of all lines, of every pass and several shares, the
+best is taken.
 """
 
 import numpy as np
@@ -45,7 +46,7 @@ def _straightest(centre: Array, left: Array, low: Array, high: Array) -> Array:
     """Return the points (P, 2) whose offsets to the left of the centreline, within bounds, minimise ∫κ² ds."""
     count = len(centre)
     second = np.roll(np.eye(count), 1, axis=1) + np.roll(np.eye(count), -1, axis=1) - 2.0 * np.eye(count)
-    points = centre
+    points, lines = centre, []
     for _ in range(PASSES):
         along = np.roll(points, -1, axis=0) - np.roll(points, 1, axis=0)
         ds = np.hypot(*along.T) / 2
@@ -55,7 +56,8 @@ def _straightest(centre: Array, left: Array, low: Array, high: Array) -> Array:
         target = -(across * (second @ centre)).sum(axis=1)
         offset = lsq_linear(matrix, target, bounds=(low, high)).x
         points = centre + offset[:, None] * left
-    return points
+        lines.append(points)
+    return min(lines, key=_bending)  # the next pass may go astray
 
 
 def _bending(points: Array) -> float:

@@ -20,7 +20,7 @@ def problem(*words: str) -> str:
 def test_a_problem_is_its_car_track_and_limits():
     same = problem()
     assert problem("sim.dt=0.1") == same
-    others = ["vehicle=published", "vehicle.friction=0.81", "+action.rate_max=4.9", "sim=no_actuators", "action=speed"]
+    others = ["vehicle=published", "vehicle.friction=0.81", "action.rate_max=4.9", "sim=no_actuators", "action=speed"]
     assert len({same, *map(problem, others)}) == 1 + len(others)
 
 

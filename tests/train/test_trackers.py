@@ -86,7 +86,7 @@ def without_clock(numbers):
 def test_tracking_is_no_part_of_a_run(smoke_run, memory, tmp_path):
     out = tmp_path / "run"
     train.train(compose_settings("train", TRACKED), out)
-    assert memory.steps == [1024, 2048]
+    assert memory.steps == [1024, 2048, 2048]  # the last update and examination as well
     assert (out / "policy.safetensors").read_bytes() == (smoke_run / "policy.safetensors").read_bytes()
     assert "tracking" not in (out / CONFIG).read_text()
     one, other = (RunFolder.open_complete(run).manifest["config_hash"] for run in (out, smoke_run))
