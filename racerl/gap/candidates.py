@@ -30,10 +30,18 @@ def joined(data: FitData, vehicle: Vehicle, name: str, effect: Effect) -> Vehicl
     return replace_values(more, {"l_f": data.vehicle.l_f}) if name == COG else more
 
 
-def add(data: FitData, base: FittedModel, name: str, vehicle: Vehicle) -> FittedModel:
-    """Fit a vehicle with an effect more than a fitted one has, over the stages that they touch, for a few steps."""
-    effects = base.effects | {name}
-    return fit_model(data, effects, vehicle, base, FIRST, stages=touched(data, vehicle, effects))
+def add(investigation: Investigation, base: FittedModel, name: str, vehicle: Vehicle) -> FittedModel:
+    """Fit a vehicle with an effect more than a fitted one has, over the stages that they touch, for a few steps.
+
+    Where that ends above the fit that it began beside, its other parameters went astray on a share of the windows: the
+    effect starts again beside those of that fit.
+    """
+    effects, stages = base.effects | {name}, touched(investigation, vehicle, base.effects | {name})
+    found = fit_model(investigation, effects, vehicle, base, FIRST, stages=stages)
+    if sum(part.sum() for part in found.cost.values()) <= sum(investigation.cost(base, each).sum() for each in stages):
+        return found
+    beside = joined(investigation, base.vehicle, name, vehicle.effects[name])
+    return better(investigation, found, fit_model(investigation, effects, beside, base, FIRST, stages=stages))
 
 
 def converged(data: FitData, found: FittedModel) -> FittedModel:

@@ -849,3 +849,25 @@ def test_a_candidate_that_a_few_steps_led_astray_is_fitted_where_theory_foretell
     score = Score(["roll", "drag", "bank"], np.eye(3), np.sqrt([2e4, 4e3, 5e3]))
     assert [each.name for each in hopeful(screened, score, "chassis")] == ["drag", "roll"]
     assert [each.name for each in hopeful(screened, dataclasses.replace(score, g=np.zeros(3)), "chassis")] == ["drag"]
+
+
+@pytest.mark.parametrize(("first", "starts"), [(9.0, 1), (12.0, 2)])
+def test_a_candidate_whose_fit_went_astray_starts_again_beside_the_fit_before_it(monkeypatch, first, starts):
+    tried, costs = [], iter([first, 8.0])
+
+    def fit(investigation, effects, vehicle, base, steps, stages):
+        tried.append(vehicle)
+        return SimpleNamespace(cost={"chassis": np.array([next(costs)])}, vehicle=vehicle)
+
+    monkeypatch.setattr(candidates, "fit_model", fit)
+    monkeypatch.setattr(candidates, "touched", lambda *_: ["chassis"])
+    monkeypatch.setattr(
+        candidates, "better", lambda investigation, *fits: min(fits, key=lambda one: one.cost["chassis"])
+    )
+    investigation = SimpleNamespace(cost=lambda found, stage: np.array([10.0]))
+    base = SimpleNamespace(effects=frozenset(), vehicle=make_car())
+    astray = make_car("vehicle.mass=9.0", "+vehicle/effect=aero_drag")  # where a share of the windows led
+    found = candidates.add(investigation, base, "aero_drag", astray)
+    assert len(tried) == starts and tried[0] is astray and found.cost["chassis"][0] == min(first, 8.0 * starts)
+    if starts == 2:
+        assert found.vehicle.mass == base.vehicle.mass and found.vehicle.effects == astray.effects
