@@ -17,6 +17,7 @@ from racerl.gap.decision import Decision, carried, changed, passes_less_noise
 from racerl.gap.evidence import Evidence
 from racerl.gap.features import features
 from racerl.gap.fitted_model import FittedModel
+from racerl.gap.investigation import Investigation
 from racerl.gap.progress import OnProgress, silent
 from racerl.gap.uncertainty import intervals
 from racerl.vehicle import catalogue
@@ -78,7 +79,10 @@ def settled(judge: Judge, decision: Decision) -> Decision:
             name for name in decision.chosen if _idle(name, ranges) or _nowhere(name, ranges, investigation.evidence)
         ]
         if not idle:
-            return replace(decision, found=found)
+            kept = {
+                name: [rows[0], *_somewhere(investigation, decision, rows[1:])] for name, rows in decision.kept.items()
+            }
+            return replace(decision, found=found, kept=kept)
         decision = _without(judge, decision, idle[0], without(investigation, found, idle[0]))
 
 
@@ -108,6 +112,19 @@ def _passed_on(seen: Sequence[Mapping[str, Any]], name: str, follows: dict[str, 
 def _sound(judge: Judge, lacking: Decision, rivals: Sequence[CandidateScore]) -> list[CandidateScore]:
     """Return the rivals that held-out windows ask for, by what they know of the car."""
     return [rival for rival in rivals if rival.stays and not passes_less_noise(judge, lacking, rival, STAYS)]
+
+
+def _somewhere(
+    investigation: Investigation, decision: Decision, rivals: Sequence[CandidateScore]
+) -> list[CandidateScore]:
+    """Return the rivals that, where they have a place, have it on the floor: no other could be named."""
+    own = {row.name: row.found for rows in decision.rounds for row in rows}
+    return [
+        rival
+        for rival in rivals
+        if not placed(rival.name)
+        or not _nowhere(rival.name, intervals(investigation, own[rival.name]), investigation.evidence)
+    ]
 
 
 def _idle(name: str, ranges: Mapping[str, tuple[float, float, float]]) -> bool:

@@ -812,6 +812,10 @@ def test_a_rival_takes_the_place_of_an_effect_that_is_nowhere(monkeypatch, neede
     seen = [{"candidates": rows}, {"candidates": rows[1:]}]
     begun = Decision(found, found.cost, {"chassis": 0.0}, None, kept, None, rounds=rounds, features=seen)
     decision = settled(judge, begun)
+    if not needed:  # nor does it stand beside one that stays
+        kept = {"aero_drag": [row("aero_drag"), row("road_bank"), row("road_slope")]}
+        beside = dataclasses.replace(begun, kept=kept, rounds=[kept["aero_drag"]])
+        assert [each.name for each in settled(judge, beside).kept["aero_drag"]] == ["aero_drag", "road_slope"]
     assert decision.chosen == chosen and decision.found.names == set(chosen)
     told = [[row["name"] for row in each["candidates"]] for each in decision.features]  # what hypotheses go by
     before = [["road_bank", "aero_drag", "road_slope"], ["aero_drag", "road_slope"]]
