@@ -102,9 +102,15 @@ def _without(judge: Judge, decision: Decision, name: str, less: FittedModel) -> 
 
 
 def _passed_on(seen: Sequence[Mapping[str, Any]], name: str, follows: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return what rounds saw, with the one that found an effect as it `follows` without; neither comes up later."""
+    """Return what rounds saw, with the one that found an effect as it `follows` without; neither comes up later.
+
+    An effect that came in the place of another was found in no round.
+    """
     out = {name, follows["candidates"][0]["name"]}
-    found = next(i for i, each in enumerate(seen) if each["candidates"] and each["candidates"][0]["name"] == name)
+    first = [each["candidates"][0]["name"] if each["candidates"] else "" for each in seen]
+    if name not in first:
+        return [*map(dict, seen)]
+    found = first.index(name)
     later = [{**each, "candidates": [row for row in each["candidates"] if row["name"] not in out]} for each in seen]
     return [*map(dict, seen[:found]), follows, *later[found + 1 :]]
 

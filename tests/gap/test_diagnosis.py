@@ -817,6 +817,8 @@ def test_a_rival_takes_the_place_of_an_effect_that_is_nowhere(monkeypatch, neede
         beside = dataclasses.replace(begun, kept=kept, rounds=[kept["aero_drag"]])
         assert [each.name for each in settled(judge, beside).kept["aero_drag"]] == ["aero_drag", "road_slope"]
     assert decision.chosen == chosen and decision.found.names == set(chosen)
+    exchanged = dataclasses.replace(begun, features=seen[1:])  # it came in the place of another
+    assert settled(judge, exchanged).features == seen[1:]
     told = [[row["name"] for row in each["candidates"]] for each in decision.features]  # what hypotheses go by
     before = [["road_bank", "aero_drag", "road_slope"], ["aero_drag", "road_slope"]]
     assert told == ([["road_slope"], ["aero_drag"]] if needed else before)
