@@ -863,6 +863,7 @@ def _show(settings: "Settings", out: Path) -> None:
 
 
 def _data(words: Sequence[str], settings: "Settings", out: Path) -> None:
+    from racerl.data.log import VELOCITY
     from racerl.data.survey import survey
     from racerl.data.topics import UnmappedBag
     from racerl.report.log_page import draw_logs
@@ -882,6 +883,9 @@ def _data(words: Sequence[str], settings: "Settings", out: Path) -> None:
         lines.append(
             "mend first what contradicts the poses: a mapping in conf/data gives columns their units and signs"
         )
+        following = "racerl data LOG"
+    elif any(set(VELOCITY) & set(log["missing"]) for log in facts["logs"]):
+        lines.append("neither a whole pose (x, y, yaw) nor velocities: its motion cannot be fitted; name their columns")
         following = "racerl data LOG"
     _print_lines(console, *lines, f"next: {_following(following, words, out)}")
 

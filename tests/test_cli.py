@@ -400,6 +400,9 @@ def test_the_next_command_can_be_run(run, tmp_path):
     table.assign(x=1000 * table["x"], y=1000 * table["y"]).to_csv(tmp_path / "mm.csv", index=False)
     *_, mend, command = run("data", "mm.csv", "out=mm").stdout.splitlines()
     assert "mend first" in mend and command == "next: racerl data mm.csv"
+    table[["t", "x", "y", "omega"]].to_csv(tmp_path / "no_yaw.csv", index=False)
+    *_, why, command = run("data", "no_yaw.csv", "out=no_yaw").stdout.splitlines()
+    assert "its motion cannot be fitted" in why and command == "next: racerl data no_yaw.csv"
     assert (
         _following("racerl gap plan LOG", ["a b.csv", "out=x", "data=put"], tmp_path)
         == "racerl gap plan 'a b.csv' data=put"
