@@ -56,6 +56,7 @@ RECKONED = (
 ANGLES, SPEEDS = {"deg": 180 / math.pi}, {"km/h": 3.6, "mm": 1000.0}  # other units, and factors of ours to them
 GAIN = 0.02  # by which a shift must raise the explained share to be believed
 RATIOS = {"omega": (0.8, 1.25), "omega_ref": (0.7, 1.45)}  # to v_x on straights, within which slip and calibration lie
+FOLLOWS = 0.4  # correlation of v_x and omega, below which they are along different axes
 UNLIKE, LIKE, TURNED = 0.7, 0.9, 0.35  # of directions and headings, 0 … 1; rad
 
 
@@ -496,7 +497,21 @@ def _signs_and_units(log: Log, wheelbase: float) -> Iterator[str]:
                 )
     if "v_x" in log.table and moving.sum() < ENOUGH:
         yield f"it hardly drives forwards faster than {MOVING:g} m/s: signs, units and lags are not checked"
+    yield from _other_axes(log)
     yield from _wheel_unit(log, moving)
+
+
+def _other_axes(log: Log) -> Iterator[str]:
+    """Yield that the car does not drive where its wheels roll: its velocities are then along other axes."""
+    if not _has(log, "v_x", "omega"):
+        return
+    rolling = np.abs(log.array("omega")) > MOVING
+    wheel, speed = log.array("omega")[rolling], log.array("v_x")[rolling]
+    if len(wheel) < ENOUGH or min(np.std(np.abs(wheel)), np.std(speed)) < 0.2:
+        return
+    follows = float(np.corrcoef(wheel, speed)[0, 1])
+    if abs(follows) < FOLLOWS:
+        yield f"v_x does not follow omega (correlation {follows:.2f}): are the velocities along the world's axes?"
 
 
 def _wheel_unit(log: Log, moving: NDArray[np.bool_]) -> Iterator[str]:

@@ -255,3 +255,11 @@ def test_a_channel_of_another_scale_is_not_told_to_be_late(driven, fault, said):
 def test_a_car_that_never_drives_on_is_not_checked_and_that_is_said(driven):
     found = warnings(driven.assign(v_x=0.1 * driven["v_x"]))
     assert "it hardly drives forwards faster than 0.8 m/s: signs, units and lags are not checked" in found
+
+
+def test_velocities_along_the_worlds_axes_are_told_without_poses(driven):
+    v_x, v_y, yaw = (driven[name] for name in ("v_x", "v_y", "yaw"))
+    world = driven.assign(v_x=v_x * np.cos(yaw) - v_y * np.sin(yaw), v_y=v_x * np.sin(yaw) + v_y * np.cos(yaw))
+    found = warnings(world.drop(columns=["x", "y", "yaw"]))
+    assert any("v_x does not follow omega" in line for line in found), found
+    assert not any("does not follow omega" in line for line in warnings(driven))
