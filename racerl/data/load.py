@@ -209,13 +209,12 @@ def _read_csv(path: Path, content: bytes) -> pd.DataFrame:
 
 def _without_comments(content: bytes) -> bytes:
     """Return a table's text without the lines with a # above its header, or a header that has one itself without it."""
-    last = b""
-    while content.startswith(b"#") and b"\n" in content:
-        last, content = content.split(b"\n", 1)
-    first = content.split(b"\n", 1)[0]
-    if last and re.match(rb"[\s\"]*[-+.\d]", first):  # numbers already
-        return last.lstrip(b"# ") + b"\n" + content
-    return content
+    begin, last = 0, b""
+    while content.startswith(b"#", begin) and 0 <= (end := content.find(b"\n", begin)) < MAX_HEADER_BYTES:
+        begin, last = end + 1, content[begin:end]
+    if last and re.match(rb"[\s\"]*[-+.\d]", content[begin : begin + WIDEST]):  # numbers already
+        return last.lstrip(b"# ") + b"\n" + content[begin:]
+    return content[begin:]
 
 
 def _read_parquet(path: Path) -> pd.DataFrame:
@@ -369,8 +368,8 @@ def _seconds(path: Path, column: pd.Series) -> Array:
 
 def _numeric(path: Path, column: pd.Series) -> Array:
     if not pd.api.types.is_numeric_dtype(column) or pd.api.types.is_bool_dtype(column):
-        odd = column[column.notna() & pd.to_numeric(column, errors="coerce").isna()]
-        where = f" (row {odd.index[0] + 1}: {str(odd.iloc[0])[:WIDEST]!r})" if len(odd) else ""
+        odd = np.flatnonzero(column.notna() & pd.to_numeric(column, errors="coerce").isna())
+        where = f" (row {odd[0] + 1}: {str(column.iloc[odd[0]])[:WIDEST]!r})" if len(odd) else ""
         raise LogError(f"{path}: column '{column.name}' is not numeric{where}; is it another file or a broken line?")
     if pd.api.types.is_complex_dtype(column):
         raise LogError(f"{path}: column '{column.name}' holds complex numbers; give real ones")
