@@ -284,9 +284,9 @@ def _named(
     """Return the rows that count, with t, run and the channels in their units; where these are from; remarks."""
     have = _columns(table)
     if layout.time.column not in have:
-        near = suggest(layout.time.column, have, most=1) if not _likely(have).startswith(LOOKS) else ""
-        times = [name for name in have if re.fullmatch(r"(time|t|stamp|timestamp|sec|secs|seconds)", name.lower())]
         likely = _likely(have)
+        near = suggest(layout.time.column, have, most=1) if not likely.startswith(LOOKS) else ""
+        times = [name for name in have if re.fullmatch(r"(time|t|stamp|timestamp|sec|secs|seconds)", name.lower())]
         cure = f"; data.time.column={times[0]} takes that one" if times and not likely.startswith(LOOKS) else likely
         raise LogError(f"{path}: has no time column '{layout.time.column}'{near}{cure}")
     plain = {name: (Source(column=name, hold=name in COMMANDS),) for name in CHANNELS if name in have}
