@@ -1,4 +1,4 @@
-"""racerl: racing policies for small cars that work on the real car.
+"""racerl: racing policies for small cars, from the logs of your own car.
 
 Imported after Gymnasium it registers `racerl/Race-v0` there; otherwise `racerl.register()` does, so that a command line
 that needs no environment does not wait for one.

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     name="racerl",
-    help="Learn racing policies for small cars that work on the real car.",
+    help="Racing policies for small cars, from the logs of your own car.",
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",  # Rich's own markup would swallow words in brackets
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -53,7 +53,7 @@ def options(
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
     ] = False,
 ) -> None:
-    """Learn racing policies for small cars that work on the real car."""
+    """Racing policies for small cars, from the logs of your own car."""
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
 
