@@ -20,7 +20,8 @@ the same by automatic differentiation, far more slowly.
 
 import ctypes
 import dataclasses
-from collections.abc import Collection, Iterable, Mapping, Sequence
+import itertools
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -456,7 +457,7 @@ class Rollout(Equations):
         asked = list(range(self.size)) if columns is None else list(columns)
         intervals, channels, size = len(windows.inputs), len(self.observed), len(asked)
         if (library := self._library) is None:
-            return _accumulate_torch(self, parameters, windows, steps, h, asked)
+            return _accumulate_torch(self, parameters, windows, asked)
         slot = np.full(self.size, -1, dtype=np.int32)
         slot[asked] = np.arange(size)
         on = np.array([name not in silent for name in self.active], dtype=np.int32)
@@ -665,49 +666,41 @@ def _roll_torch(
     rollout: Rollout, parameters: torch.Tensor, initial: torch.Tensor, inputs: torch.Tensor, steps: int, h: float
 ) -> torch.Tensor:
     """Return the states (T + 1, S, W), differentiable in the parameters."""
-    return roll_out(_Bound(rollout, parameters.unbind(0)), initial, inputs, steps, h)
+    rows = parameters.unbind(0)
+    return roll_out(partial(rollout.derivative, parameters=rows, ops=TORCH), initial, inputs, steps, h)
 
 
-@dataclass(frozen=True)
-class _Bound:
-    """A rollout's derivative at given parameters, in the place of a vehicle."""
+def roll_out(
+    derivative: Callable[[torch.Tensor, torch.Tensor], Any],
+    initial: torch.Tensor,
+    inputs: torch.Tensor,
+    steps: int,
+    h: float,
+) -> torch.Tensor:
+    """Return the states (T + 1, S, W) on torch by their derivative at inputs (T, U, W)."""
 
-    rollout: Rollout
-    parameters: Sequence[Any]
-
-    def derivative(self, state: Any, inputs: Any, ops: Ops) -> Any:
-        return self.rollout.derivative(state, inputs, self.parameters, ops)
-
-
-def roll_out(vehicle: Any, initial: torch.Tensor, inputs: torch.Tensor, steps: int, h: float) -> torch.Tensor:
-    """Return the states (T + 1, S, W) on torch, differentiable in everything; inputs are (T, U, W)."""
-
-    def derivative(command: torch.Tensor, state: torch.Tensor) -> Any:
-        return vehicle.derivative(state, command, TORCH)
-
-    states = [initial]
-    for command in inputs:
-        state = states[-1]
+    def interval(state: torch.Tensor, held: torch.Tensor) -> torch.Tensor:
         for _ in range(steps):
-            state = rk4(partial(derivative, command), state, h)
-        states.append(state)
-    return torch.stack(states)
+            state = rk4(lambda now: derivative(now, held), state, h)
+        return state
+
+    return torch.stack(list(itertools.accumulate(inputs, interval, initial=initial)))
 
 
-def _accumulate_torch(
-    rollout: Rollout, parameters: Array, windows: Windows, steps: int, h: float, asked: Sequence[int]
-) -> NormalEquations:
+def residuals(rollout: Rollout, parameters: torch.Tensor, initial: torch.Tensor, windows: Windows) -> torch.Tensor:
+    """Return w (x − y) (T + 1, C, W) on torch, differentiable in parameters (P, W) and initial states (S, W)."""
+    states = _roll_torch(rollout, parameters, initial, torch.as_tensor(windows.inputs), *rollout.steps(windows.dt))
+    shown = torch.broadcast_tensors(*rollout.observe(states.unbind(1), parameters.unbind(0), TORCH))
+    return torch.as_tensor(windows.weight) * (torch.stack(shown, dim=1) - torch.as_tensor(windows.measured))
+
+
+def _accumulate_torch(rollout: Rollout, parameters: Array, windows: Windows, asked: Sequence[int]) -> NormalEquations:
     """Form the normal equations by forward-mode differentiation, one unknown at a time."""
     active, free = [rollout.vehicle.states.index(name) for name in rollout.active], len(rollout.names)
     table, initial = torch.as_tensor(np.array(parameters)), torch.as_tensor(windows.initial)
-    weight, measured = torch.as_tensor(windows.weight), torch.as_tensor(windows.measured)
-    inputs = torch.as_tensor(windows.inputs)
 
     def residual(theta: torch.Tensor, initial: torch.Tensor) -> torch.Tensor:
-        everything = torch.cat([theta, table[free:]])
-        states = _roll_torch(rollout, everything, initial, inputs, steps, h)
-        shown = torch.broadcast_tensors(*rollout.observe(states.unbind(1), everything.unbind(0), TORCH))
-        return weight * (torch.stack(shown, dim=1) - measured)
+        return residuals(rollout, torch.cat([theta, table[free:]]), initial, windows)
 
     theta = table[:free]
     unknowns = torch.eye(rollout.size, dtype=theta.dtype)[list(asked)]

@@ -9,7 +9,7 @@ from racerl.estimation.independence import independent_residuals
 from racerl.estimation.unknowns import choose_unknowns
 from racerl.identify.methods.adamw import torch_gradient
 from racerl.identify.objective import Objective, Point
-from racerl.vehicle.rollout import Rollout
+from racerl.vehicle.rollout import Rollout, drive_by
 from tests.vehicle.conftest import make_car
 from tests.vehicle.test_rollout import OBSERVED, windows_for
 
@@ -17,18 +17,20 @@ CAR = make_car()
 # Gauss-Newton steps until the initial states rest: beyond the force peak the slowest window gains 0.7 with each
 SETTLE = 40
 PRIORS = {"yaw_inertia": 0.2, "*.p_Ky1": 0.3, "l_f": 0.05}
+SENSORS = {"effects.lever_arm.forward": {"absolute": 0.05}, "effects.wheel_speed_gain.gain": {"absolute": 0.05}}
 
 
 @pytest.fixture(scope="module")
 def objective() -> Objective:
-    unknowns = choose_unknowns(CAR, PRIORS, [], CAR)
-    rollout = Rollout(CAR, unknowns.names, OBSERVED)
-    windows = windows_for(CAR, count=9)
-    observed = [CAR.states.index(name) for name in OBSERVED]
+    return objective_of(CAR, PRIORS)
+
+
+def objective_of(car, priors) -> Objective:
+    unknowns = choose_unknowns(car, priors, [], car)
+    rollout = Rollout(car, unknowns.names, OBSERVED)
+    windows = windows_for(car, count=9)
     noise = 0.02 * np.random.default_rng(1).standard_normal(windows.measured.shape)
-    windows = dataclasses.replace(
-        windows, measured=rollout.simulate(0.97 * unknowns.start, windows)[:, observed] + noise
-    )
+    windows = dataclasses.replace(windows, measured=rollout.predict(0.97 * unknowns.start, windows) + noise)
     scale, weight = np.array([0.5, 0.3, 1.5]), np.array([1.0, 1.0, 2.0])
     return Objective(rollout, unknowns, windows, scale, weight, penalty=0.01)
 
@@ -41,7 +43,11 @@ def test_cost_is_the_weighted_mean_square_and_the_prior(objective):
     assert objective.linearise(point).cost == pytest.approx(expected, rel=1e-12)
 
 
-def test_gradient_by_finite_differences_and_by_back_propagation(objective):
+@pytest.mark.parametrize("shown_by_sensors", [False, True])
+def test_gradient_by_finite_differences_and_by_back_propagation(objective, shown_by_sensors):
+    if shown_by_sensors:
+        car = make_car("+vehicle/effect=[lever_arm,wheel_speed_gain]")
+        objective = objective_of(drive_by(car, measured_steering=False, measured_speed=True), PRIORS | SENSORS)
     theta = objective.unknowns.start * 1.05
     at = objective.linearise(objective.start(theta))
     numeric = np.empty_like(theta)

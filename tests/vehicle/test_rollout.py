@@ -5,6 +5,7 @@ import shutil
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ import torch
 
 from racerl.vehicle import rollout as rollout_module
 from racerl.vehicle.effects.aero_drag import AeroDrag
-from racerl.vehicle.ops import symbolic
+from racerl.vehicle.ops import TORCH, symbolic
 from racerl.vehicle.parameter import replace_values, values
 from racerl.vehicle.rollout import Rollout, Windows, drive_by, roll_out
 from tests.vehicle.conftest import random_states
@@ -49,7 +50,8 @@ def test_compiled_rollouts_are_torchs(built_car):
     compiled = Rollout(built_car, names, OBSERVED)
     theta = compiled.nominal() * 1.1
     car = replace_values(built_car, dict(zip(names, theta, strict=True)))
-    expected = roll_out(car, torch.as_tensor(windows.initial), torch.as_tensor(windows.inputs), 1, windows.dt).numpy()
+    initial, inputs = torch.as_tensor(windows.initial), torch.as_tensor(windows.inputs)
+    expected = roll_out(partial(car.derivative, ops=TORCH), initial, inputs, 1, windows.dt).numpy()
     rows = [built_car.states.index(name) for name in compiled.active]
     got, expected = compiled.simulate(theta, windows)[:, rows], expected[:, rows]
     assert np.abs((got - expected) / (1 + np.abs(expected))).max() < 1e-10

@@ -7,7 +7,7 @@ priors take the place of weight decay.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from racerl.errors import ConfigError
 from racerl.identify.methods import Fit, require_numbers
 from racerl.identify.objective import Objective, Point
-from racerl.vehicle.parameter import replace_values
-from racerl.vehicle.rollout import roll_out
+from racerl.vehicle.rollout import residuals
 
 SETTLED = 1e-3  # relative gain over the last tenth of the steps, below which the fit has converged
 GRADIENTS = ("kernel", "torch")
@@ -71,14 +70,9 @@ class Adamw:
 
 def torch_gradient(objective: Objective, point: Point) -> NDArray[np.float64]:
     """Return half the gradient of the data's share of the cost over θ, by back-propagation through time."""
-    rollout, windows = objective.rollout, replace(objective.windows, initial=point.initial)
     theta = torch.as_tensor(point.theta).clone().requires_grad_(True)
-    spread = theta[:, None].expand(-1, windows.count)
-    car = replace_values(rollout.vehicle, dict(zip(rollout.names, spread.unbind(0), strict=True)))
-    steps, h = rollout.steps(windows.dt)
-    states = roll_out(car, torch.as_tensor(windows.initial), torch.as_tensor(windows.inputs), steps, h)
-    observed = [rollout.vehicle.states.index(name) for name in rollout.observed]
-    error = torch.as_tensor(windows.weight) * (states[:, observed] - torch.as_tensor(windows.measured))
+    spread = theta[:, None].expand(-1, objective.windows.count)
+    error = residuals(objective.rollout, spread, torch.as_tensor(point.initial), objective.windows)
     (0.5 * (error**2).sum()).backward()
     assert theta.grad is not None  # noqa: S101
     return theta.grad.numpy()
