@@ -10,13 +10,14 @@ import torch
 from racerl.config import compose_settings
 from racerl.errors import ConfigError, VehicleError
 from racerl.vehicle import catalogue
+from racerl.vehicle.effects import Effect
 from racerl.vehicle.effects.learned_network import LearnedNetwork
 from racerl.vehicle.effects.learned_residual import LearnedResidual
 from racerl.vehicle.effects.tyre_shape import TyreShape
 from racerl.vehicle.load import load_vehicle
 from racerl.vehicle.ops import TORCH
 from racerl.vehicle.vehicle import COMMAND, STATE, Slips, Vehicle
-from tests.vehicle.conftest import make_car, random_states, travel
+from tests.vehicle.conftest import EFFECTS, make_car, random_states, travel
 
 CONTRACT = (
     "steering_delay",
@@ -221,6 +222,14 @@ def force(car, name, **values):
     before = car.tyre_wrench(forces, motion, TORCH)
     after = car.effects[name].wrench(before, forces, motion, TORCH)
     return [float(b - a) for a, b in zip(before, after, strict=True)]
+
+
+@pytest.mark.parametrize("name", [name for name in EFFECTS if catalogue.entry(name).cls.grip is not Effect.grip])
+def test_a_spin_leaves_grip(name):
+    car = with_effect(name)
+    spin = car.motion(states(car, v_x=3.0, yaw_rate=20.0))  # 60 m/s² of v_x r, which roll and heat may be, too
+    spin = spin._replace(own=dict.fromkeys(spin.own, torch.tensor(60.0)))
+    assert all(0.0 < float(left) <= car.friction for left in car.grip(spin, TORCH))
 
 
 def test_all_of_the_rolling_resistance_acts_wherever_the_centre_of_gravity_is():

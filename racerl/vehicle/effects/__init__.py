@@ -18,6 +18,13 @@ Pair = tuple[Scalar, Scalar]
 """One value for the front axle, one for the rear."""
 
 SMOOTH_SPEED = 0.1  # m/s over which a force changes its sign with the motion
+LEAST_GRIP = 0.1  # share of the friction that no loss takes away
+
+
+def scaled(friction: Pair, left: Scalar, ops: Ops) -> Pair:
+    """Return the friction scales of both axles of which a share is left."""
+    left = ops.maximum(left, LEAST_GRIP)
+    return friction[0] * left, friction[1] * left
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,7 +12,7 @@ Confused with: tyre_heating (a rest brings grip back), friction_patch (the same 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from racerl.vehicle.effects import Pair
+from racerl.vehicle.effects import Pair, scaled
 from racerl.vehicle.effects._ageing import Ageing
 from racerl.vehicle.ops import Ops, Scalar
 from racerl.vehicle.parameter import parameter
@@ -30,5 +30,4 @@ class FrictionFade(Ageing):
 
     def grip(self, friction: Pair, motion: "Motion", ops: Ops) -> Pair:
         """Scale the grip by 1 − k τ (1 − exp(−t/τ))."""
-        left = ops.maximum(1.0 - self.rate * self.age(motion.own, self.time, ops), 0.1)
-        return friction[0] * left, friction[1] * left
+        return scaled(friction, 1.0 - self.rate * self.age(motion.own, self.time, ops), ops)

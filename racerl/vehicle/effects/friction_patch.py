@@ -11,7 +11,7 @@ Confused with: friction_fade, tyre_heating.
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from racerl.vehicle.effects import Effect, Pair
+from racerl.vehicle.effects import Effect, Pair, scaled
 from racerl.vehicle.ops import Ops, Scalar
 from racerl.vehicle.parameter import parameter
 
@@ -37,5 +37,4 @@ class FrictionPatch(Effect):
         """Scale the grip by the place's."""
         across, along = (motion.x - self.x) / self.radius, (motion.y - self.y) / self.radius
         away = ops.sqrt(across * across + along * along + TINY)
-        left = 1.0 - 0.5 * self.depth * (1.0 - ops.tanh((away - 1.0) / self.edge))
-        return friction[0] * left, friction[1] * left
+        return scaled(friction, 1.0 - 0.5 * self.depth * (1.0 - ops.tanh((away - 1.0) / self.edge)), ops)

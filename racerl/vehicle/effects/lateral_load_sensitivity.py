@@ -12,7 +12,7 @@ Confused with: speed_dependent_friction (equal a_y at two radii tell), the shape
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from racerl.vehicle.effects import Effect, Pair
+from racerl.vehicle.effects import Effect, Pair, scaled
 from racerl.vehicle.ops import Ops, Scalar, soft_abs
 from racerl.vehicle.parameter import parameter
 
@@ -28,5 +28,4 @@ class LateralLoadSensitivity(Effect):
 
     def grip(self, friction: Pair, motion: "Motion", ops: Ops) -> Pair:
         """Scale the grip by 1 − k |a_y|."""
-        left = 1.0 - self.loss * soft_abs(motion.v_x * motion.yaw_rate, 0.2, ops)
-        return friction[0] * left, friction[1] * left
+        return scaled(friction, 1.0 - self.loss * soft_abs(motion.v_x * motion.yaw_rate, 0.2, ops), ops)

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from racerl.vehicle.effects import Effect, Pair
+from racerl.vehicle.effects import Effect, Pair, scaled
 from racerl.vehicle.ops import Ops, Scalar, soft_abs
 from racerl.vehicle.parameter import parameter
 
@@ -33,8 +33,7 @@ class RollDynamics(Effect):
 
     def grip(self, friction: Pair, motion: "Motion", ops: Ops) -> Pair:
         """Scale the grip by 1 − k |φ|."""
-        left = 1.0 - self.loss * soft_abs(motion.own[self.key("roll")], 0.2, ops)
-        return friction[0] * left, friction[1] * left
+        return scaled(friction, 1.0 - self.loss * soft_abs(motion.own[self.key("roll")], 0.2, ops), ops)
 
     def rates(self, course: "Course", ops: Ops) -> Sequence[Scalar]:
         """Let the roll, in units of a_y, follow the tyres' side force."""

@@ -11,7 +11,7 @@ Confused with: lateral_load_sensitivity, downforce (of the other sign).
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from racerl.vehicle.effects import Effect, Pair
+from racerl.vehicle.effects import Effect, Pair, scaled
 from racerl.vehicle.ops import Ops, Scalar
 from racerl.vehicle.parameter import parameter
 
@@ -27,5 +27,4 @@ class SpeedDependentFriction(Effect):
 
     def grip(self, friction: Pair, motion: "Motion", ops: Ops) -> Pair:
         """Scale the grip by 1 − k |v_x|."""
-        left = ops.maximum(1.0 - self.loss * ops.abs(motion.v_x), 0.1)
-        return friction[0] * left, friction[1] * left
+        return scaled(friction, 1.0 - self.loss * ops.abs(motion.v_x), ops)

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from racerl.vehicle.effects import Effect, Pair
+from racerl.vehicle.effects import Effect, Pair, scaled
 from racerl.vehicle.ops import Ops, Scalar
 from racerl.vehicle.parameter import parameter
 
@@ -36,8 +36,7 @@ class TyreHeating(Effect):
 
     def grip(self, friction: Pair, motion: "Motion", ops: Ops) -> Pair:
         """Scale the grip by 1 − k Θ."""
-        left = ops.maximum(1.0 - self.loss * motion.own[self.key("heat")], 0.1)
-        return friction[0] * left, friction[1] * left
+        return scaled(friction, 1.0 - self.loss * motion.own[self.key("heat")], ops)
 
     def rates(self, course: "Course", ops: Ops) -> Sequence[Scalar]:
         """Return Θ̇."""
