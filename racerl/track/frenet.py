@@ -108,7 +108,7 @@ class FrenetFrame:
 
     def project(self, x: Tensor, y: Tensor, s_last: Tensor) -> Foot:
         """Return the foot points of cars at x, y (N,) that were last at s_last (N,)."""
-        if self._kernel is not None and not x.requires_grad:
+        if self._kernel is not None and not (x.requires_grad or y.requires_grad):
             return Foot(*self._kernel.project(self._cells, x, y, s_last, self.spacing, self._middle))
         with torch.no_grad():  # which cell it is has no slope
             nearest = (self.wrap(s_last) / self.spacing).round().long()

@@ -222,7 +222,7 @@ class TrackKernel:
         self, cells: Tensor, x: Tensor, y: Tensor, s_last: Tensor, spacing: float, reach: int
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Return s, n and the centreline's yaw, each (N,)."""
-        x, y, s_last = x.contiguous(), y.contiguous(), s_last.to(x.dtype).contiguous()
+        x, y, s_last = (t.to(cells.dtype).contiguous() for t in (x, y, s_last))
         s, n, yaw = torch.empty_like(x), torch.empty_like(x), torch.empty_like(x)
         self.compiled.project(
             cells.data_ptr(),

@@ -171,6 +171,18 @@ def test_the_compiled_walk_follows_the_tensors():
     assert torch.isfinite(single.lookup(torch.tensor([0.0, TRACK.length, -1e-9]), single.curvature)[0]).all()
 
 
+def test_a_projection_takes_other_precisions_and_keeps_the_slope_of_one_coordinate():
+    single = FrenetFrame(TRACK)
+    s = torch.linspace(0.5, TRACK.length - 0.5, 50)
+    x, y, yaw = single.position(s, torch.full_like(s, 0.1))
+    expected = single.project(x, y, s)
+    for precise in (single.project(x.double(), y.double(), s.double()), single.project(x, y.double(), s)):
+        assert all(map(torch.equal, precise, expected))
+    aside = y.clone().requires_grad_()
+    slope = torch.autograd.grad(single.project(x, aside, s).n.sum(), aside)[0]
+    assert torch.allclose(slope, torch.cos(yaw), atol=1e-2)
+
+
 @pytest.mark.parametrize("device_type", ["compiled", "torch"])
 def test_places_are_projections_with_the_boundaries_at_hand(device_type):
     """Rows of a place against the projection, the tables and the wrapped difference, on C and on tensors."""
