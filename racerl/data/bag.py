@@ -209,9 +209,10 @@ def _check_mcap(path: Path, file: Path) -> None:
     """Walk the records of an MCAP file: opcode (1 byte), length (8), content; unpack each chunk under a limit."""
     size, total, indexed = file.stat().st_size, 0, set()
     with file.open("rb") as stream:
-        magic = stream.read(8)
-        while (head := stream.read(9)) and magic == b"\x89MCAP0\r\n":
-            if head[0] == 0x02:  # footer
+        whole, begin = stream.read(8) == b"\x89MCAP0\r\n", 0
+        while whole:
+            begin, head = stream.tell(), stream.read(9)
+            if head[:1] == b"\x02":  # footer
                 return
             if len(head) < 9:
                 break
@@ -232,7 +233,7 @@ def _check_mcap(path: Path, file: Path) -> None:
                 stream.seek(length, 1)
             if total > MAX_BYTES:
                 raise LogError(f"{path}: more than {MAX_BYTES} bytes when unpacked; split the bag")
-    told = f"is cut short or damaged at byte {file.stat().st_size if magic else 0}"
+    told = f"is cut short or damaged at byte {begin}"
     raise LogError(f"{path}: {told}; copy it again, or where its recorder was cut off: mcap recover {file.name}")
 
 

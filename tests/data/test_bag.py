@@ -94,6 +94,19 @@ def test_a_bag_cut_short_is_one_line(tmp_path, storage):
     assert "\n" not in str(error.value)
 
 
+def test_a_bag_is_damaged_where_a_record_is(tmp_path):
+    file = write_bag(tmp_path / "bag", 100, "mcap")
+    content = file.read_bytes()
+    second = 8 + 9 + int.from_bytes(content[9:17], "little")  # magic, opcode and length of the first record
+    for begin, damaged in (
+        (0, b"x" + content[1:]),
+        (second, content[: second + 1] + b"\xff" * 8 + content[second + 9 :]),
+    ):
+        file.write_bytes(damaged)
+        with pytest.raises(LogError, match=f"damaged at byte {begin};"):
+            load(file)
+
+
 def test_empty_and_foreign_places(tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(LogError, match=r"0 \.db3 or \.mcap"):
