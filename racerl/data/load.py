@@ -191,17 +191,17 @@ def _read_gzip(path: Path) -> bytes:
 
 
 def _read_csv(path: Path, content: bytes) -> pd.DataFrame:
-    content = _without_comments(content)
-    header = content[: MAX_HEADER_BYTES + 1].split(b"\n", 1)[0]
+    text = _without_comments(content)
+    header = text[: MAX_HEADER_BYTES + 1].split(b"\n", 1)[0]
     if len(header) > MAX_HEADER_BYTES or header.count(b",") >= MAX_COLUMNS:
         raise LogError(f"{path}: its first line is no header; at most {MAX_COLUMNS} columns are read")
-    if b"\0" in content:
+    if b"\0" in text:
         raise LogError(f"{path}: holds zero bytes, so it is no text; is it another kind of file, or damaged?")
     with warnings.catch_warnings():
         warnings.simplefilter("error", pd.errors.ParserWarning)
         try:
             _require_commas(path, header.decode("utf-8-sig"))
-            table = pd.read_csv(io.BytesIO(content), index_col=False, low_memory=False, skipinitialspace=True)
+            table = pd.read_csv(io.BytesIO(text), index_col=False, low_memory=False, skipinitialspace=True)
         except UnicodeDecodeError as error:
             raise LogError(f"{path}: is no UTF-8 text (byte {_unread(content, error)}); save it as UTF-8") from error
     return _limited(path, table)

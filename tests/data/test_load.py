@@ -207,6 +207,7 @@ def test_a_wrong_mapping_names_the_likely_one(driven, tmp_path):
         ("a.csv", b"t;x\n0;1\n", "columns are parted by ';'"),
         ("a.csv", b"t\tx\n0\t1\n", "columns are parted by tabs"),
         ("a.csv", "t,stra\u00dfe\n0,1\n".encode("latin-1"), "no UTF-8 text .byte 6."),
+        ("a.csv", "# a car\nt,stra\u00dfe\n0,1\n".encode("latin-1"), "no UTF-8 text .byte 14."),
         ("a.csv", b"t," + b"a," * 5000 + b"\n", "no header"),
         ("a.csv.gz", b"no gzip", "cannot be read"),
         ("a.csv.gz", gzip.compress(b"t,v_x\n" + b"0,1\n" * 1000, mtime=0)[:-20], "cannot be read"),
