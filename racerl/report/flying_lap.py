@@ -10,6 +10,8 @@ from racerl.report.subjects import Evaluation
 
 Array = NDArray[np.floating]
 
+SLOWEST = 0.1  # m/s, of the side slip's v_x: a car that stands points nowhere else than it goes
+
 
 @dataclass(frozen=True)
 class FlyingLap:
@@ -28,6 +30,13 @@ class FlyingLap:
         """Return the time in s since the line at s (K,) in m, between 0 and the length."""
         inside = self.samples[(self.samples["s"] > 0.0) & (self.samples["s"] < self.length)]
         return np.interp(s, [0.0, *inside["s"], self.length], [0.0, *inside["t"], self.time_s])
+
+    def side_slip(self) -> Array:
+        """Return the side slip β = atan(v_y/v_x) in degrees at the samples; NaN where it was not recorded."""
+        if "v_y" not in self.samples:
+            return np.full(len(self.samples), np.nan)
+        v_x, v_y = self.samples["v_x"].to_numpy(), self.samples["v_y"].to_numpy()
+        return np.degrees(np.arctan2(v_y, np.maximum(v_x, SLOWEST)))
 
     def marks(self, times: Array) -> Array:
         """Return the places x, y (K, 2) in m at times (K,) in s since the line, as far as the lap goes."""

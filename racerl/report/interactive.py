@@ -10,7 +10,6 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from racerl.errors import ConfigError
-from racerl.report.figures import replay
 from racerl.report.figures.style import PALETTE
 from racerl.report.flying_lap import FlyingLap, delta_time
 from racerl.report.page import fill_in
@@ -80,7 +79,7 @@ def channels(lap: FlyingLap, first: FlyingLap) -> dict[str, NDArray[np.floating]
     rows = (
         samples["v_x"],
         samples["delta"],
-        replay.side_slip(lap),
+        lap.side_slip(),
         samples.get("margin", unknown),
         delta_time(lap, first, samples["s"].to_numpy()),
     )

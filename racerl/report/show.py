@@ -88,7 +88,7 @@ def _numbers(lap: FlyingLap) -> dict[str, Any]:
     """Return a lap as the page plays it: time, place on the track and in the world, heading, speed, side slip."""
     samples = lap.samples
     columns = {"t": samples["t"], "s": samples["s"], "x": samples["x"], "y": samples["y"], "v": samples["v_x"]}
-    columns |= {"yaw": replay.heading(lap), "slip": replay.side_slip(lap)}
+    columns |= {"yaw": replay.heading(lap), "slip": lap.side_slip()}
     inside = np.asarray((samples["s"] < lap.length) & (samples["t"] < lap.time_s))
     rows = {name: _until_the_line(name, np.asarray(column, float), inside, lap) for name, column in columns.items()}
     slip = {} if np.isfinite(rows["slip"]).all() else {"slip": None}  # not recorded

@@ -93,6 +93,8 @@ def test_a_slide_is_told_and_drawn_where_the_heading_was_recorded(human):
     shown = attitude.draw([replace(human, samples=sliding), human], TRACK_TABLE)
     assert shown.count("side slip up to 30°") == 1
     assert shown.count("<use ") > plain.count("<use ") + human.time_s / attitude.EVERY - 2  # a nose for each
+    sliding.loc[sliding.index[20], ["v_x", "v_y"]] = [-1e-3, 1e-3]  # a car that stands slides to no side
+    assert "side slip up to 30°" in attitude.draw([replace(human, samples=sliding), human], TRACK_TABLE)
 
 
 def test_time_starts_at_the_line_and_ends_with_the_lap(human):

@@ -21,7 +21,7 @@ from racerl.errors import RacerlError
 from racerl.paper import human_lap
 from racerl.report.driver import Driver
 from racerl.report.figures import replay
-from racerl.report.figures.replay import RATES, _columns, _place, heading, side_slip
+from racerl.report.figures.replay import RATES, _columns, _place, heading
 from racerl.report.flying_lap import FlyingLap
 from racerl.report.show import show
 from tests.report.test_compare import TRACK, raced
@@ -122,10 +122,10 @@ def straight(**more):
 
 def test_a_sliding_car_points_into_the_turn():
     lap = straight(v_x=2.0 * np.cos(0.5), v_y=-2.0 * np.sin(0.5))
-    assert side_slip(lap) == pytest.approx(np.degrees(-0.5)) and heading(lap) == pytest.approx(np.pi / 4 + 0.5)
+    assert lap.side_slip() == pytest.approx(np.degrees(-0.5)) and heading(lap) == pytest.approx(np.pi / 4 + 0.5)
     recorded = replace(lap, samples=lap.samples.assign(yaw=1.0))
     assert heading(recorded) == pytest.approx(1.0)
-    assert heading(straight()) == pytest.approx(np.pi / 4) and np.isnan(side_slip(straight())).all()
+    assert heading(straight()) == pytest.approx(np.pi / 4) and np.isnan(straight().side_slip()).all()
     axis = Figure().add_subplot()
     (car,), trail = axis.fill([], []), axis.add_collection(LineCollection([]))
     for t, place in ((1.0, np.sqrt(2.0)), (9.0, 2.0 * np.sqrt(2.0))):  # it stays at the end of its lap

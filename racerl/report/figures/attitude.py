@@ -59,6 +59,5 @@ def _headings(axis: Axes, lap: FlyingLap) -> str:
     bars = x + ends * np.cos(yaw), y + ends * np.sin(yaw)
     axis.plot(*bars, color=INK, lw=1.2)
     axis.plot(*(places[1] for places in bars), "o", color=INK, ms=2.5)
-    inside = samples[samples["t"].between(0.0, lap.time_s)]
-    slip = np.degrees(np.arctan2(inside["v_y"], inside["v_x"])).abs().max()
+    slip = np.abs(lap.side_slip()[samples["t"].between(0.0, lap.time_s)]).max()
     return f"\nside slip up to {slip:.0f}°, heading every {EVERY:g} s"

@@ -45,8 +45,7 @@ def draw(
             speed.plot(lap.samples["s"], lap.samples["v_x"], label=lap.driver, **look)
             steering.plot(lap.samples["s"], lap.samples["delta"], **look)
             if "v_y" in lap.samples:
-                course = np.arctan2(lap.samples["v_y"], lap.samples["v_x"])
-                slip.plot(lap.samples["s"], np.degrees(course), **look)
+                slip.plot(lap.samples["s"], lap.side_slip(), **look)
             if "margin" in lap.samples:
                 margin.plot(lap.samples["s"], lap.samples["margin"], **look)
         for axis in (slip, margin):

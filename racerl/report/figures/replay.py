@@ -81,14 +81,7 @@ def heading(lap: FlyingLap) -> Array:
     if "yaw" in lap.samples:
         return np.unwrap(lap.samples["yaw"])
     course = np.arctan2(np.gradient(lap.samples["y"]), np.gradient(lap.samples["x"]))
-    return np.unwrap(course) - np.radians(np.nan_to_num(side_slip(lap)))
-
-
-def side_slip(lap: FlyingLap) -> Array:
-    """Return the side slip in degrees; NaN where it was not recorded."""
-    if "v_y" not in lap.samples:
-        return np.full(len(lap.samples), np.nan)
-    return np.degrees(np.arctan2(lap.samples["v_y"].to_numpy(), lap.samples["v_x"].clip(lower=0.1).to_numpy()))
+    return np.unwrap(course) - np.radians(np.nan_to_num(lap.side_slip()))
 
 
 def _stage(track: pd.DataFrame) -> Figure:
@@ -107,7 +100,7 @@ def _stage(track: pd.DataFrame) -> Figure:
 def _columns(lap: FlyingLap) -> Array:
     """Return t, x, y, side slip without its sign, and heading of a lap, (5, T)."""
     samples = lap.samples
-    columns = (samples["t"], samples["x"], samples["y"], np.abs(side_slip(lap)), heading(lap))
+    columns = (samples["t"], samples["x"], samples["y"], np.abs(lap.side_slip()), heading(lap))
     return np.stack([np.asarray(column, float) for column in columns])
 
 
