@@ -20,6 +20,7 @@ from racerl.control.horizon import SUBSTEPS, Horizon, Path
 from racerl.evaluate.rivals import prepare
 from racerl.optimum.along import XI, N
 from racerl.registry import construct
+from racerl.vehicle.integrate import rk4
 
 ITERATIONS, CAREFUL = 100, 1.5  # of a plan, from the same state, and how they are damped
 REACH = 1.2  # laps tabulated from the line on, for ipopt
@@ -151,13 +152,9 @@ class Reference:
         rate = casadi.Function("rate", [y, u, kappa], [horizon.derivative(y, u, kappa)])
         curvature = self._tabulated(0, "bspline")
         at, held = casadi.MX.sym("y", horizon.states), casadi.MX.sym("u", 2)
-        h, after = horizon.period / SUBSTEPS, at
+        after = at
         for _ in range(SUBSTEPS):
-            k_1 = rate(after, held, curvature(after[0]))
-            k_2 = rate(after + h / 2 * k_1, held, curvature(after[0] + h / 2 * k_1[0]))
-            k_3 = rate(after + h / 2 * k_2, held, curvature(after[0] + h / 2 * k_2[0]))
-            k_4 = rate(after + h * k_3, held, curvature(after[0] + h * k_3[0]))
-            after = after + h / 6 * (k_1 + 2 * (k_2 + k_3) + k_4)
+            after = rk4(lambda now: rate(now, held, curvature(now[0])), after, horizon.period / SUBSTEPS)
         return casadi.Function("node", [at, held], [after])
 
     def _limits(self, y: Any, e: Any) -> Any:

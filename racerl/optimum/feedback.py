@@ -18,6 +18,7 @@ from racerl.errors import OptimumError
 from racerl.optimum.along import OMEGA, V_X, V_Y, XI, YAW_RATE, N, motion
 from racerl.optimum.collocation import Solution
 from racerl.optimum.corridor import Corridor
+from racerl.vehicle.integrate import rk4
 
 PLACES = 400  # round the lap
 ROUNDS = 400  # of the recursion, at most
@@ -106,13 +107,8 @@ def _driven_on(solution: Solution, action: Action, corridor: Corridor, dt: float
     if action.integrated:
         moved = casadi.fmin(casadi.fmax(y[count] + held[1] * action.rate_max * dt, action.drive_min), action.drive_max)
         y = casadi.vertcat(y[:-1], moved)
-    h = dt / substeps
     for _ in range(substeps):
-        k_1 = rate(y[1:], held, curvature(y[0]))
-        k_2 = rate(y[1:] + h / 2 * k_1[1:], held, curvature(y[0] + h / 2 * k_1[0]))
-        k_3 = rate(y[1:] + h / 2 * k_2[1:], held, curvature(y[0] + h / 2 * k_2[0]))
-        k_4 = rate(y[1:] + h * k_3[1:], held, curvature(y[0] + h * k_3[0]))
-        y = y + h / 6 * (k_1 + 2 * (k_2 + k_3) + k_4)
+        y = rk4(lambda now: rate(now[1:], held, curvature(now[0])), y, dt / substeps)
     outcome = [y, casadi.jacobian(y, z_0), casadi.jacobian(y, held)]
     return casadi.Function("driven_on", [s_0, z_0, held], outcome).map(PLACES)
 
