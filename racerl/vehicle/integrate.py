@@ -19,9 +19,14 @@ def rk4(derivative: Callable[[Any], Any], state: Any, dt: Scalar) -> Any:
 
 
 def advance(vehicle: Vehicle, state: Any, command: Any, dt: float, steps: int, ops: Ops) -> Any:
-    """Return the state after `steps` Runge–Kutta steps; rows δ and ω hold what acts on the car."""
+    """Return the state after `steps` Runge–Kutta steps, settled."""
     for _ in range(steps):
         state = rk4(lambda now: vehicle.derivative(now, command, ops), state, dt)
+    return settled(vehicle, state, command, ops)
+
+
+def settled(vehicle: Vehicle, state: Any, command: Any, ops: Ops) -> Any:
+    """Return the state whose rows δ and ω hold what acts on the car."""
     rows = list(ops.unstack(state))
     delta_ref, drive_ref = ops.unstack(command)
     rows[DELTA] = vehicle.steering.position(rows[DELTA], delta_ref)

@@ -20,7 +20,7 @@ from racerl.errors import VehicleError
 from racerl.vehicle.bodies import BodyMotion
 from racerl.vehicle.codegen import precision, statements
 from racerl.vehicle.compiler import build
-from racerl.vehicle.integrate import advance
+from racerl.vehicle.integrate import advance, settled
 from racerl.vehicle.ops import TORCH, CasadiOps
 from racerl.vehicle.parameter import replace_values, values
 from racerl.vehicle.vehicle import STATE, Vehicle
@@ -305,11 +305,7 @@ def source(vehicle: Vehicle, names: Sequence[str], dt: float, steps: int) -> str
     parameters = casadi.SX.sym("p", len(names))
     car = replace_values(vehicle, dict(zip(names, ops.unstack(parameters) if names else [], strict=True)))
     inputs = [state, command, parameters]
-    rows = list(ops.unstack(state))
-    delta, omega = STATE.index("delta"), STATE.index("omega")
-    rows[delta] = car.steering.position(rows[delta], command[0])
-    rows[omega] = car.drive.position(rows[omega], command[1])
-    outcomes = {"derivative": car.derivative(state, command, ops), "settle": ops.stack(rows)}
+    outcomes = {"derivative": car.derivative(state, command, ops), "settle": settled(car, state, command, ops)}
     bodies = {}
     for name, outcome in outcomes.items():
         function = casadi.Function(name, inputs, [outcome])
