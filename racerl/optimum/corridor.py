@@ -41,8 +41,7 @@ class Corridor:
     """A smooth line round a track and the room to either side of it."""
 
     def __init__(self, track: Track) -> None:
-        narrowest = float((track.width_left + track.width_right).min() / 2)
-        points, centre = smooth_line(track, MARGIN * narrowest)
+        points, centre = smooth_line(track, MARGIN * track.min_half_width)
         chord = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
         self._spline: BSpline = make_interp_spline(chord, points, k=5, bc_type="periodic")
         self._u = np.linspace(0.0, chord[-1], OVERSAMPLING * len(points) + 1)

@@ -12,11 +12,10 @@ from racerl.errors import OptimumError
 from racerl.optimum.along import V_X
 from racerl.optimum.collocation import Collocation, Guess, Solution
 from racerl.optimum.corridor import Corridor
-from racerl.optimum.optimum import starts
+from racerl.optimum.optimum import coarse_mesh, starts
 from racerl.track.track import Track
 from racerl.vehicle.vehicle import Vehicle
 
-INTERVAL = 0.33  # of the narrowest half-width
 PACES = (0.4, 0.55, 0.7, 0.8, 0.9, 0.96)  # of the lower rungs, of the greatest v_x of the gentlest one without a limit
 
 
@@ -80,11 +79,10 @@ def _solved(problem: Collocation, *guesses: Guess) -> list[Solution]:
 def _problem(
     vehicle: Vehicle, track: Track, action: Action, corridor: Corridor, reserve: Reserve, fastest: float
 ) -> Collocation:
-    narrowest = float((track.width_left + track.width_right).min() / 2)
-    intervals = max(60, round(corridor.length / (INTERVAL * narrowest)))
     car = replace(vehicle, friction=(1 - reserve.grip) * vehicle.friction)
     share = {"steering_max": (1 - reserve.steering) * action.steering_max}
     if action.integrated:
         share["rate_max"] = (1 - reserve.rate) * action.rate_max
     narrowed = replace(action, **share)  # type: ignore[type-var]
-    return Collocation(car, narrowed, corridor, intervals, reserve.room * narrowest, fastest)
+    room = reserve.room * track.min_half_width
+    return Collocation(car, narrowed, corridor, coarse_mesh(corridor, track), room, fastest)

@@ -72,8 +72,7 @@ def find_optimum(
             f"leave it out with ~vehicle.effects.{local[0]}"
         )
     corridor = Corridor(track)
-    narrowest = float((track.width_left + track.width_right).min() / 2)
-    intervals = max(LEAST_INTERVALS, round(corridor.length / (COARSEST * narrowest)))
+    intervals = coarse_mesh(corridor, track)
     started = starts(Collocation(vehicle, action, corridor, intervals))
     best = started[0]
     meshes = [{"intervals": intervals, "time_s": best.time}]
@@ -86,6 +85,11 @@ def find_optimum(
         if change < SETTLED:
             return Optimum(best, corridor, meshes, different(started))
     raise OptimumError(f"the lap time has not settled: it still moves by {change:.1%} at {intervals} intervals")
+
+
+def coarse_mesh(corridor: Corridor, track: Track) -> int:
+    """Return how many intervals the first mesh has."""
+    return max(LEAST_INTERVALS, round(corridor.length / (COARSEST * track.min_half_width)))
 
 
 def starts(problem: Collocation) -> list[Solution]:

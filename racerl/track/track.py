@@ -53,6 +53,11 @@ class Track:
         """Largest half of the total width in m."""
         return float((self.width_left + self.width_right).max() / 2)
 
+    @property
+    def min_half_width(self) -> float:
+        """Smallest half of the total width in m."""
+        return float((self.width_left + self.width_right).min() / 2)
+
     def boundary(self, side: int) -> tuple[Array, Array]:
         """Return x, y of the left (side = 1) or right (side = −1) boundary in m."""
         offset = self.width_left if side > 0 else -self.width_right

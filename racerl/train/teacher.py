@@ -38,7 +38,7 @@ class Teacher:
         known: dict[tuple[int, float], Feedback] | None = None,
     ) -> None:
         """`known`: feedback that other teachers on some of these laps have worked out, by lap and seconds ahead."""
-        width = float((race.track.width_left + race.track.width_right).min() / 2)
+        width = race.track.min_half_width
         self.laps = laps
         timing = race.timing
         # an action is held for a period, and the top lap's is taken from the middle of it; below, cars are caught
