@@ -69,6 +69,15 @@ class Car:
         check_estimate("car.estimate", self.estimate)
         bounds.number("car.grip", self.grip, 0.1, 10.0)
 
+    def has_actuators(self, sim: Settings) -> bool:
+        """Return whether commands act through actuators; raise ConfigError for a motor's current without any."""
+        there = bool(sim["actuators"]) and self.actuators
+        if sim["drive"] == "motor_current" and not there:
+            raise ConfigError(
+                "sim.drive = motor_current: a car without actuators has no motor; give sim.actuators=true"
+            )
+        return there
+
     def wear(self, vehicle: Settings) -> dict[str, Any]:
         """Return the settings of the vehicle that this car is; any but `model` keeps its numbers."""
         effects = {**(vehicle.get("effects") or {}), **self.effects}

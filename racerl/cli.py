@@ -205,8 +205,7 @@ def effects(
 
     console = _console()
     if name is None:
-        for known in catalogue.names():
-            console.print(f"{known:<28}{catalogue.entry(known).title}", highlight=False, soft_wrap=True)
+        _print_lines(console, *(f"{known:<28}{catalogue.entry(known).title}" for known in catalogue.names()))
         return
     entry = catalogue.entry(name)
     lines = [entry.title, *(f"{aspect}: {text}" for aspect, text in entry.aspects.items())]
@@ -403,7 +402,7 @@ def _show_training(stage: Callable[..., dict[str, Any]], settings: "Settings", o
         nonlocal announced
         if not announced:
             announced = True
-            console.print(f"training into {out}", highlight=False, soft_wrap=True)
+            _print_lines(console, f"training into {out}")
         if progress.stage != bar.title:
             bar.begin(progress.stage)
         left = (progress.total_steps - progress.steps) / progress.steps_per_s if progress.steps_per_s else None
@@ -414,12 +413,11 @@ def _show_training(stage: Callable[..., dict[str, Any]], settings: "Settings", o
     best = facts["best"]
     lap = f"{best['mean_lap_s']:.3f} s" if best["mean_lap_s"] else "none"
     if before := facts.get("before"):
-        console.print(_followed(before, facts["clean_after_s"]), highlight=False, soft_wrap=True)
-    console.print(
+        _print_lines(console, _followed(before, facts["clean_after_s"]))
+    _print_lines(
+        console,
         f"{facts['steps']:,} steps in {facts['seconds']:.0f} s; best policy: mean lap {lap}, "
         f"{best['valid_laps']} of {best['laps']} laps clean",
-        highlight=False,
-        soft_wrap=True,
     )
     if facts["nan_cars"]:
         console.print(f"warning: the simulation failed (NaN) for {facts['nan_cars']} cars, which were started over")
@@ -665,7 +663,7 @@ def _sweep(settings: "Settings", out: Path) -> None:
     with Board(console) as board:
         facts = sweep(settings, out, compose_settings, board.show)
     _print_lines(console, *conclusions.lines(facts))
-    console.print(f"numbers in {out / RESULTS}, report in {draw_sweep(out)}", highlight=False, soft_wrap=True)
+    _print_lines(console, f"numbers in {out / RESULTS}, report in {draw_sweep(out)}")
     if failed := facts["failed"]:
         words = "; ".join(f"{name}: {line}" for name, line in failed.items())
         planned = facts["jobs"]["planned"]
@@ -735,7 +733,7 @@ def _bench(settings: "Settings", out: Path) -> None:
         if picture:
             written.append(out / f"{name}.svg")
             write_text(written[-1], picture)
-    console.print(f"numbers in {' and '.join(map(str, written))}", highlight=False, soft_wrap=True)
+    _print_lines(console, f"numbers in {' and '.join(map(str, written))}")
 
 
 def _optimum(settings: "Settings", out: Path) -> None:
@@ -768,7 +766,7 @@ def _print_identification(console: Any, facts: dict[str, Any]) -> None:
 
     from racerl.report.identification_page import UNITS, factor, headline, measure, spread
 
-    console.print(headline(facts), highlight=False, soft_wrap=True)
+    _print_lines(console, headline(facts))
     fitted, title = facts["fitted"], f"error of {facts['horizon']}-sample rollouts (RMSE)"
     compared = ("before", "identified", "factor") if fitted else ("given vehicle",)
     table = Table("channel", "unit", *compared, "first value held", title=title)
@@ -876,8 +874,7 @@ def _data(words: Sequence[str], settings: "Settings", out: Path) -> None:
         raise
     for log in facts["logs"]:
         _print_log(console, log)
-    for warning in facts["warnings"]:
-        console.print(f"warning: {warning}", highlight=False, soft_wrap=True)
+    _print_lines(console, *(f"warning: {warning}" for warning in facts["warnings"]))
     lines, following = [f"report in {draw_logs(out)}"], "racerl identify LOG"
     if any(log["contradictions"] for log in facts["logs"]):
         lines.append(
@@ -898,7 +895,7 @@ def _print_topics(console: Any, bag: "UnmappedBag") -> None:
         table.add_row(topic.name, topic.kind, f"{topic.messages:,}")
     console.print(table)
     if bag.draft:
-        console.print(bag.draft, highlight=False, soft_wrap=True)
+        _print_lines(console, bag.draft)
 
 
 def _print_log(console: Any, log: dict[str, Any]) -> None:

@@ -16,7 +16,8 @@ class OnboardPolicy:
     def __init__(self, policy: Policy) -> None:
         linear = [layer for layer in policy.network if isinstance(layer, nn.Linear)]
         self._layers = [
-            (_copy(layer.weight), _copy(layer.bias), *np.empty((2, layer.out_features), np.float32)) for layer in linear
+            (numbers(layer.weight), numbers(layer.bias), *np.empty((2, layer.out_features), np.float32))
+            for layer in linear
         ]
         self._slope = np.float32(SLOPE)
         self._limit = np.float32(1.0)
@@ -36,5 +37,6 @@ class OnboardPolicy:
         return np.maximum(out, -self._limit, out=out)
 
 
-def _copy(tensor: Tensor) -> Array:
+def numbers(tensor: Tensor) -> Array:
+    """Return a tensor's numbers as an array of its own."""
     return np.array(tensor.detach().cpu().numpy(), np.float32, order="C")

@@ -15,9 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from torch import Tensor, nn
+from torch import nn
 
 from racerl.control.networks import SLOPE
+from racerl.control.onboard import numbers
 from racerl.control.policy import AnyPolicy
 from racerl.env.actions import Action, half_range, middle
 from racerl.env.observations import OBSERVATION_LIMIT, Observation, Seen
@@ -76,7 +77,7 @@ class Driver:
         cells = [layer for layer in policy.network.modules() if isinstance(layer, nn.GRUCell)]
         return cls(
             observation.sees(action),
-            [(_numbers(layer.weight), _numbers(layer.bias)) for layer in linear],
+            [(numbers(layer.weight), numbers(layer.bias)) for layer in linear],
             SLOPE,
             OBSERVATION_LIMIT,
             action.steering_max,
@@ -84,7 +85,7 @@ class Driver:
             action.drive_max,
             action.rate_max * dt if action.integrated else half_range(action),
             None if action.integrated else middle(action),
-            *(Cell(*map(_numbers, (c.weight_ih, c.bias_ih, c.weight_hh, c.bias_hh))) for c in cells),
+            *(Cell(*map(numbers, (c.weight_ih, c.bias_ih, c.weight_hh, c.bias_hh))) for c in cells),
         )
 
     @property
@@ -113,7 +114,3 @@ class Driver:
         out = np.clip(value, -1.0, 1.0)
         drive = (last if self.middle is None else self.middle) + self.gain * out[:, 1]
         return self.steering_max * out[:, 0], np.clip(drive, self.drive_min, self.drive_max), memory
-
-
-def _numbers(tensor: Tensor) -> Array:
-    return np.array(tensor.detach().cpu().numpy(), np.float32, order="C")

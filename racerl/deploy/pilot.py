@@ -24,7 +24,7 @@ from racerl.errors import ConfigError
 from racerl.track.frenet import FrenetFrame
 from racerl.vehicle.kernel import choose_motion
 from racerl.vehicle.load import load_vehicle
-from racerl.vehicle.vehicle import STATE
+from racerl.vehicle.vehicle import COMMAND, STATE
 
 STEP = 0.005  # s, of the prediction
 CPU = torch.device("cpu")
@@ -163,7 +163,7 @@ class Pilot:
         """Return the references that act on the car at a time."""
         delays = self.vehicle.delays()
         found = []
-        for column, name in enumerate(("delta_ref", "drive_ref"), start=1):
+        for column, name in enumerate(COMMAND, start=1):
             at = time - self.delay - float(delays.get(name, 0.0))
             found.append(next((given[column] for given in reversed(self._given) if given[0] <= at), 0.0))
         return found

@@ -8,7 +8,6 @@ from torch import Tensor
 
 from racerl.assemble import Car, build_timing
 from racerl.env.race import YAW, Race, X, Y
-from racerl.errors import ConfigError
 from racerl.evaluate.evaluate import build_evaluation_race, combine
 
 RUN_UP = 1.0  # m before the line, where the car stands at first
@@ -18,8 +17,7 @@ ACTIONS = {"wheel_speed": "speed_rate", "motor_current": "current"}
 def build(settings: Mapping[str, Any], car: Car, seed: int) -> Race:
     """Return a race of one car, which stands a little before the line."""
     sim = settings["sim"]
-    if sim["drive"] == "motor_current" and not (sim["actuators"] and car.actuators):
-        raise ConfigError("sim.drive = motor_current: a car without actuators has no motor; give sim.actuators=true")
+    car.has_actuators(sim)  # what a motor needs is checked there
     # the observation is not looked at; the smallest one is
     world = {**settings, "obs": {"name": "progress"}, "action": {"name": ACTIONS.get(sim["drive"], "speed_rate")}}
     build_timing(settings)  # its numbers are checked there

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from racerl.documents import write_parquet
 from racerl.errors import RunError
+from racerl.vehicle.vehicle import COMMAND
 
 if TYPE_CHECKING:
     from racerl.env.race import Race
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 LENGTH = 50  # control steps
 MOST = 16  # failures that are kept
 FILE = "failed_cars.parquet"
-COMMANDS = ("delta_ref", "drive_ref")
 PARAMETER = "parameter."  # in front of the names of drawn parameters
 
 
@@ -48,7 +48,7 @@ class BlackBox:
         for car in cars.tolist()[: MOST - len(self.failures)]:
             count = min(LENGTH, self._steps, int(self._age[car]) + 1)
             slots = [(self._steps - count + i) % LENGTH for i in range(count)]
-            table = pd.DataFrame(self._tape[slots, :, car].cpu().numpy(), columns=[*self.names, *COMMANDS])
+            table = pd.DataFrame(self._tape[slots, :, car].cpu().numpy(), columns=[*self.names, *COMMAND])
             drawn = {f"{PARAMETER}{name}": float(values[car]) for name, values in parameters.items()}
             self.failures.append(table.assign(car=car, step=range(1 - count, 1), **drawn))
 
@@ -80,7 +80,7 @@ def replay(race: "Race", failure: pd.DataFrame) -> Tensor:
         raise RunError(
             f"a failure of {len(failure)} steps: commands act up to {late} late, so it cannot be driven again"
         )
-    rows = torch.tensor(failure[[*names, *COMMANDS]].to_numpy(), dtype=race.dtype, device=race.device)
+    rows = torch.tensor(failure[[*names, *COMMAND]].to_numpy(), dtype=race.dtype, device=race.device)
     drawn = [float(failure[f"{PARAMETER}{name}"].iloc[0]) for name in race.draws.names]
     race.draws.values = race.constant(drawn)[:, None]
     race.state = rows[late, : len(names), None]

@@ -54,11 +54,7 @@ class Plan:
         """Build everything that the settings describe; raise a RacerlError for what cannot be driven."""
         _check(settings)
         sim, car = settings["sim"], construct(Car, settings["car"], "car")
-        actuators = bool(sim["actuators"]) and car.actuators
-        if sim["drive"] == "motor_current" and not actuators:
-            raise ConfigError(
-                "sim.drive = motor_current: a car without actuators has no motor; give sim.actuators=true"
-            )
+        actuators = car.has_actuators(sim)
         configured = load_vehicle(settings["vehicle"], sim["drive"], actuators)
         hidden = construct(Hidden, settings["hidden"], "hidden")
         worn = car.wear(settings["vehicle"])
