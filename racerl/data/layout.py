@@ -21,7 +21,8 @@ vehicle   wheelbase in m, for the kinematic checks of `racerl data`
 
 import itertools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -30,7 +31,8 @@ from numpy.typing import NDArray
 
 from racerl import bounds
 from racerl.data.log import CHANNELS
-from racerl.errors import ConfigError, suggest
+from racerl.documents import conf_folder, read_yaml
+from racerl.errors import ConfigError, RacerlError, suggest
 from racerl.registry import construct
 
 COMMANDS = ("delta_ref", "omega_ref")
@@ -133,6 +135,13 @@ def read_layout(settings: Mapping[str, Any]) -> Layout:
         if key not in parts:
             raise ConfigError(f"data has no key '{key}'{suggest(key, parts)}")
     return Layout(**{key: parts[key](value) for key, value in settings.items()})
+
+
+def shipped() -> Iterator[tuple[str, Layout]]:
+    """Yield the mappings in conf/data by name; what is wrong with any other is told where it is chosen."""
+    for path in sorted((conf_folder() / "data").glob("*.yaml")):
+        with suppress(RacerlError):
+            yield path.stem, read_layout(read_yaml(path))
 
 
 def _channels(settings: Any) -> dict[str, tuple[Source, ...]]:

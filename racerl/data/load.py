@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from racerl.data.agreement import DIFFERENTIATED, contradiction
 from racerl.data.bag import Stream, is_bag, open_bag
 from racerl.data.differentiate import velocities
-from racerl.data.layout import COMMANDS, Layout, Source, read_layout
+from racerl.data.layout import COMMANDS, Layout, Source, read_layout, shipped
 from racerl.data.log import (
     CHANNELS,
     JITTER,
@@ -44,8 +44,8 @@ from racerl.data.log import (
     sample_time,
 )
 from racerl.data.topics import suited
-from racerl.documents import as_frame, conf_folder, read_yaml, require_content
-from racerl.errors import DocumentError, LogError, RacerlError, suggest
+from racerl.documents import as_frame, require_content
+from racerl.errors import DocumentError, LogError, suggest
 
 TABLES = (".csv", ".csv.gz", ".parquet")
 MAX_BYTES = 512 * 1024 * 1024  # of a table, unpacked
@@ -266,15 +266,11 @@ def _columns(table: pd.DataFrame) -> list[str]:
 def _likely(columns: Sequence[str]) -> str:
     """Return LOOKS data=… for the packaged mapping that fits best, else what to do."""
     best, most = "", 0
-    for path in sorted((conf_folder() / "data").glob("*.yaml")):
-        try:
-            layout = read_layout(read_yaml(path))
-        except RacerlError:
-            continue
+    for name, layout in shipped():
         named = [source.column for sources in layout.channels.values() for source in sources]
         fitting = sum(column in columns for column in named or CHANNELS)
         if not layout.of_bag and layout.time.column in columns and fitting > most:
-            best, most = path.stem, fitting
+            best, most = name, fitting
     return f"{LOOKS} data={best}" if best else "; write a mapping of its columns (see conf/data/dart.yaml)"
 
 

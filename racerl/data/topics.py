@@ -10,7 +10,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import NamedTuple
 
-from racerl.data.layout import Layout, Source, read_layout
+from racerl.data.layout import Layout, Source, read_layout, shipped
 from racerl.data.log import POSE, VELOCITY
 from racerl.data.messages import (
     ACKERMANN,
@@ -24,7 +24,7 @@ from racerl.data.messages import (
     usual_field,
 )
 from racerl.documents import conf_folder, read_yaml
-from racerl.errors import LogError, RacerlError
+from racerl.errors import LogError
 
 UNMAPPED = "drive_log"  # the mapping of commands that were given none
 
@@ -72,18 +72,14 @@ def is_usable(channels: Mapping[str, Source]) -> bool:
 def fitting(topics: Sequence[Topic]) -> tuple[str, Layout] | None:
     """Return the usable shipped mapping that finds most channels, and among equals most of its first choices."""
     best, most = None, (0, 0)
-    for path in sorted((conf_folder() / "data").glob("*.yaml")):
-        try:
-            layout = read_layout(read_yaml(path))
-        except RacerlError:  # what is wrong with it is told where it is chosen
-            continue
+    for name, layout in shipped():
         channels = found(layout, topics)
         passed_over = sum(
             [source.topic for source in layout.channels[channel]].index(taken.topic)
             for channel, taken in channels.items()
         )
         if is_usable(channels) and (len(channels), -passed_over) > most:
-            best, most = (path.stem, layout), (len(channels), -passed_over)
+            best, most = (name, layout), (len(channels), -passed_over)
     return best
 
 

@@ -9,7 +9,6 @@ that what is correlated stays so. What else is chosen is multiplied on top.
 Noise, of what the driver sees and of what it does, is drawn at every control step.
 """
 
-import fnmatch
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,7 +23,7 @@ from racerl.env.dice import Dice
 from racerl.env.sensing import check_estimate
 from racerl.errors import ConfigError, suggest
 from racerl.vehicle.cars import read_cars
-from racerl.vehicle.parameter import specifications, values
+from racerl.vehicle.parameter import matching, specifications, values
 from racerl.vehicle.vehicle import Vehicle
 
 LEAST_SPREAD = 1e-3  # share of a parameter, as whose standard deviation any counts at least
@@ -59,13 +58,8 @@ class Randomization:
     def names(self, vehicle: Vehicle) -> list[str]:
         """Return the dotted names that the patterns stand for; raise ConfigError when one matches nothing."""
         known = values(vehicle)
-        chosen = []
-        for pattern in self.parameters:
-            matches = fnmatch.filter(known, pattern)
-            if not matches:
-                raise ConfigError(f"dr.parameters: '{pattern}' matches no vehicle parameter{suggest(pattern, known)}")
-            chosen += [name for name in matches if name not in chosen and known[name] != 0.0]
-        return chosen
+        names = dict.fromkeys(matching(self.parameters, known, "dr.parameters"))
+        return [name for name in names if known[name] != 0.0]
 
 
 class ParameterDraws:

@@ -1,14 +1,13 @@
 """Hidden cars: vehicles whose parameters are drawn around the configured ones, to be recovered from their logs."""
 
-import fnmatch
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from racerl import bounds
-from racerl.errors import ConfigError, suggest
-from racerl.vehicle.parameter import specifications, values
+from racerl.errors import ConfigError
+from racerl.vehicle.parameter import matching, specifications, values
 from racerl.vehicle.vehicle import Vehicle
 
 
@@ -34,13 +33,7 @@ class Hidden:
         known, bounds = values(vehicle), specifications(vehicle)
         generator = np.random.default_rng(self.seed)
         drawn = {}
-        for pattern in self.parameters:
-            names = fnmatch.filter(known, pattern)
-            if not names:
-                raise ConfigError(
-                    f"hidden.parameters: '{pattern}' matches no vehicle parameter{suggest(pattern, known)}"
-                )
-            for name in names:
-                value = float(known[name]) * generator.uniform(1.0 - self.spread, 1.0 + self.spread)
-                drawn[name] = float(np.clip(value, bounds[name].low, bounds[name].high))
+        for name in matching(self.parameters, known, "hidden.parameters"):
+            value = float(known[name]) * generator.uniform(1.0 - self.spread, 1.0 + self.spread)
+            drawn[name] = float(np.clip(value, bounds[name].low, bounds[name].high))
         return drawn

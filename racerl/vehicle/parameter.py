@@ -5,11 +5,12 @@ A component is a frozen dataclass; components nest. A parameter is addressed by 
 """
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+import fnmatch
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from racerl.errors import VehicleError, suggest
+from racerl.errors import ConfigError, VehicleError, suggest
 from racerl.vehicle.ops import Scalar
 
 Component = TypeVar("Component")
@@ -55,6 +56,16 @@ def specifications(component: Any) -> dict[str, Parameter]:
 def values(component: Any) -> dict[str, Scalar]:
     """Return every parameter's value by dotted name."""
     return {name: value for name, _, value in _walk(component)}
+
+
+def matching(patterns: Iterable[str], known: Mapping[str, Any], where: str) -> list[str]:
+    """Return the names that patterns stand for, one behind the other; raise ConfigError when one matches nothing."""
+    names = []
+    for pattern in patterns:
+        if not (matches := fnmatch.filter(known, pattern)):
+            raise ConfigError(f"{where}: '{pattern}' matches no vehicle parameter{suggest(pattern, known)}")
+        names += matches
+    return names
 
 
 def replace_values(component: Component, changes: Mapping[str, Scalar]) -> Component:
