@@ -62,9 +62,8 @@ class FrenetFrame:
         # n of the track's middle, and from there to either boundary
         self.middle = (self.width_left - self.width_right) / 2
         self.half_width = (self.width_left + self.width_right) / 2
-        cells = min(round(REACH / self.spacing), (self.count - 1) // 2)
-        self._window = torch.arange(-cells, cells + 1, device=device)
-        self._middle = cells
+        self._reach = min(round(REACH / self.spacing), (self.count - 1) // 2)  # in cells
+        self._window = torch.arange(-self._reach, self._reach + 1, device=device)
         cpu = torch.device(device).type == "cpu" and dtype == torch.float32
         self._kernel = load_kernel(RIDGE, SMALLEST_STRETCH) if cpu else None
         # what C reads of a cell: x, y, yaw, its cosine and sine, curvature, middle, half width
@@ -109,7 +108,7 @@ class FrenetFrame:
     def project(self, x: Tensor, y: Tensor, s_last: Tensor) -> Foot:
         """Return the foot points of cars at x, y (N,) that were last at s_last (N,)."""
         if self._kernel is not None and not (x.requires_grad or y.requires_grad):
-            return Foot(*self._kernel.project(self._cells, x, y, s_last, self.spacing, self._middle))
+            return Foot(*self._kernel.project(self._cells, x, y, s_last, self.spacing, self._reach))
         with torch.no_grad():  # which cell it is has no slope
             nearest = (self.wrap(s_last) / self.spacing).round().long()
             window = (nearest[:, None] + self._window) % self.count
@@ -125,7 +124,7 @@ class FrenetFrame:
     def locate(self, x: Tensor, y: Tensor, yaw: Tensor, s_last: Tensor) -> tuple[Tensor, Tensor]:
         """Return the places (5, N), rows as in PLACE, of cars at x, y, heading yaw (N,), and their way from s_last."""
         if self._kernel is not None:
-            found = self._kernel.locate(self._cells, x, y, yaw, s_last, self.spacing, self._middle)
+            found = self._kernel.locate(self._cells, x, y, yaw, s_last, self.spacing, self._reach)
             return found[:5], found[5]
         foot = self.project(x, y, s_last)
         return self.place(foot.s, foot.n, wrap_angle(yaw - foot.yaw)), self.difference(foot.s, s_last)
@@ -138,7 +137,7 @@ class FrenetFrame:
 
     def _downhill(self, squared: Tensor) -> Tensor:
         """Return the steps (N,) from the middle of each row to the bottom of its valley."""
-        m = self._middle
+        m = self._reach
         ways = torch.stack([squared[:, m:], squared[:, : m + 1].flip(1)])  # (2, N, m + 1), ahead and behind
         passable = ways <= RIDGE * ways.cummin(dim=2).values
         blocked = passable.logical_not().cumsum(dim=2) > 0

@@ -95,7 +95,7 @@ class Ascent:
 
 
 class Climb:
-    """A policy in the course of an ascent: its weights, Adam's moments, and the cars."""
+    """A policy in the course of an ascent: its weights, RAdam's moments, and the cars."""
 
     def __init__(self, settings: Ascent, policy: AnyPolicy, lead: Race | Races, race: Race | Races, seed: int) -> None:
         """`lead` and `race` have as many cars; the policy's weights are changed in place."""
@@ -103,21 +103,23 @@ class Climb:
         self.practice = Practice(lead, policy, settings, torch.Generator(lead.device).manual_seed(seed))
         self.network: nn.Module = policy.network.requires_grad_()
         first, second = settings.betas
-        self.adam = torch.optim.RAdam(self.network.parameters(), lr=settings.learning_rate[0], betas=(first, second))
+        self.optimizer = torch.optim.RAdam(
+            self.network.parameters(), lr=settings.learning_rate[0], betas=(first, second)
+        )
         self.done = 0
 
     def advance(self) -> dict[str, float]:
         """Take one step of the weights; return its measures."""
         settings = self.settings
-        for group in self.adam.param_groups:
+        for group in self.optimizer.param_groups:
             group["lr"] = falling(settings.learning_rate, self.done, settings.updates)
         with torch.no_grad():
             self.practice.drive()
         made, crashed = self._drive()
-        self.adam.zero_grad()
+        self.optimizer.zero_grad()
         (-made.mean()).backward()
         length = nn.utils.clip_grad_norm_(self.network.parameters(), settings.gradient_norm)
-        self.adam.step()
+        self.optimizer.step()
         self.done += 1
         crashes = float(crashed.float().mean())
         return {"fitness": float(made.detach().mean()), "crashes": crashes, "gradient": float(length)}
@@ -140,13 +142,13 @@ class Climb:
 
     def snapshot(self) -> dict[str, Tensor]:
         """Return all that the next update depends on, but for its number."""
-        moments = {f"adam.{name}": tensor for name, tensor in optimizer_tensors(self.adam).items()}
+        moments = {f"adam.{name}": tensor for name, tensor in optimizer_tensors(self.optimizer).items()}
         return self.practice.snapshot() | moments | {"race.dice": self.race.dice.snapshot()}
 
     def restore(self, tensors: dict[str, Tensor], state: Mapping[str, Any]) -> None:
         """Go on from a snapshot."""
         self.practice.restore(tensors)
-        load_optimizer(self.adam, section(tensors, "adam."))
+        load_optimizer(self.optimizer, section(tensors, "adam."))
         self.race.dice.restore(tensors["race.dice"])
         self.done = state["done"]
 

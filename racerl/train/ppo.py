@@ -32,7 +32,7 @@ from racerl.train.products import fast_products
 from racerl.train.rollout import Minibatch, Rollout
 from racerl.train.session import policy_of
 
-# greatest of the whole numbers of a budget, and least and greatest of the others
+# least and greatest of each
 WHOLE = {
     "steps": (1, 10**12),
     "evaluations": (1, 10**6),
