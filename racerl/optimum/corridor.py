@@ -12,6 +12,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_interp_spline
 
+from racerl.track.curve import arc_length, curvature
 from racerl.track.frenet import FrenetFrame
 from racerl.track.smooth_line import smooth_line
 from racerl.track.track import Track
@@ -42,7 +43,7 @@ class Corridor:
 
     def __init__(self, track: Track) -> None:
         points, centre = smooth_line(track, MARGIN * track.min_half_width)
-        chord = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+        chord = arc_length(points)
         self._spline: BSpline = make_interp_spline(chord, points, k=5, bc_type="periodic")
         self._u = np.linspace(0.0, chord[-1], OVERSAMPLING * len(points) + 1)
         speed = np.hypot(*self._spline(self._u, 1).T)
@@ -73,13 +74,13 @@ class Corridor:
 
     def _found(self, s: Array) -> Stretch:
         u = np.interp(np.mod(s, self.length), self._arc, self._u)
-        (x, y), (dx, dy), (ddx, ddy) = self._spline(u).T, self._spline(u, 1).T, self._spline(u, 2).T
-        yaw, curvature = np.unwrap(np.arctan2(dy, dx)), (dx * ddy - dy * ddx) / np.hypot(dx, dy) ** 3
+        (x, y), along = self._spline(u).T, self._spline(u, 1)
+        yaw, bend = np.unwrap(np.arctan2(along[:, 1], along[:, 0])), curvature(along, self._spline(u, 2))
         centre = np.interp(u, self._u, self._centre)
-        left, right = (self._room(x, y, yaw, curvature, centre, side) for side in (1, -1))
-        return Stretch(s, x, y, yaw, curvature, -right, left)
+        left, right = (self._room(x, y, yaw, bend, centre, side) for side in (1, -1))
+        return Stretch(s, x, y, yaw, bend, -right, left)
 
-    def _room(self, x: Array, y: Array, yaw: Array, curvature: Array, centre: Array, side: int) -> Array:
+    def _room(self, x: Array, y: Array, yaw: Array, bend: Array, centre: Array, side: int) -> Array:
         """Return the way in m from the line to the boundary on one side."""
         frame = self._frame
         limit = float(torch.max(frame.width_left + frame.width_right))
@@ -96,7 +97,7 @@ class Corridor:
             margin = torch.minimum(left, right).numpy()
             reached = walking & (margin < 0)
             room[reached] = np.maximum(0.0, n - STEP + STEP * (before / (before - margin))[reached])
-            folded = walking & ~reached & (1.0 - side * curvature * n < LEAST_STRETCH)
+            folded = walking & ~reached & (1.0 - side * bend * n < LEAST_STRETCH)
             room[folded] = max(0.0, n - STEP)
             walking &= ~reached & ~folded
             if not walking.any():

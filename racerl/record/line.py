@@ -13,6 +13,7 @@ from scipy.interpolate import CubicSpline
 
 from racerl.record.ability import Cornering
 from racerl.record.drivers import Measured
+from racerl.track.curve import arc_length, curvature
 from racerl.track.smooth_line import smooth_line
 from racerl.track.track import Track
 
@@ -47,25 +48,25 @@ def find_line(
 ) -> Line:
     """Return the line with speeds that use a share of the grip; margin in m, steering in rad, `fastest` in m/s."""
     points, _ = smooth_line(track, margin)
-    chord = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+    chord = arc_length(points)
     spline = CubicSpline(chord, points, bc_type="periodic")
     count = round(chord[-1] / FINE)
     s = np.arange(count) * (chord[-1] / count)
-    (x, y), (dx, dy), (ddx, ddy) = spline(s).T, spline(s, 1).T, spline(s, 2).T
-    curvature = (dx * ddy - dy * ddx) / np.hypot(dx, dy) ** 3
+    (x, y), along = spline(s).T, spline(s, 1)
+    bend = curvature(along, spline(s, 2))
     # the spline's curvature is rough between its points
     window = np.hanning(round(0.4 / FINE))
-    wide = np.concatenate([curvature[-len(window) :], curvature, curvature[: len(window)]])
-    curvature = np.convolve(wide, window / window.sum(), mode="same")[len(window) : -len(window)]
-    turning = np.clip(cornering.speed(curvature, share, steering), SLOWEST, fastest)
+    wide = np.concatenate([bend[-len(window) :], bend, bend[: len(window)]])
+    bend = np.convolve(wide, window / window.sum(), mode="same")[len(window) : -len(window)]
+    turning = np.clip(cornering.speed(bend, share, steering), SLOWEST, fastest)
     spacing = float(chord[-1] / count)
-    speed = _drivable(turning, curvature, spacing, share * braking, share * cornering.grip)
-    yaw = np.arctan2(dy, dx)
-    return Line(spacing, x.tolist(), y.tolist(), yaw.tolist(), curvature.tolist(), speed.tolist())
+    speed = _drivable(turning, bend, spacing, share * braking, share * cornering.grip)
+    yaw = np.arctan2(along[:, 1], along[:, 0])
+    return Line(spacing, x.tolist(), y.tolist(), yaw.tolist(), bend.tolist(), speed.tolist())
 
 
 def _drivable(
-    speed: NDArray[np.float64], curvature: NDArray[np.float64], spacing: float, longitudinal: float, lateral: float
+    speed: NDArray[np.float64], bend: NDArray[np.float64], spacing: float, longitudinal: float, lateral: float
 ) -> NDArray[np.float64]:
     """Lower speeds until none asks for more than the friction circle (m/s²) gives between two points."""
     speed = speed.copy()
@@ -73,7 +74,7 @@ def _drivable(
     for step in (-1, 1):  # braking towards a turn, accelerating out of it; twice round
         for k in range(2 * count):
             i = (step * k) % count
-            used = min(1.0, speed[i] ** 2 * abs(curvature[i]) / lateral)
+            used = min(1.0, speed[i] ** 2 * abs(bend[i]) / lateral)
             gained = 2.0 * longitudinal * math.sqrt(1.0 - used**2) * spacing
             j = (i + step) % count
             speed[j] = min(speed[j], math.sqrt(speed[i] ** 2 + gained))

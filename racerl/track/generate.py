@@ -13,6 +13,7 @@ from scipy.interpolate import make_interp_spline
 from racerl.errors import TrackError
 from racerl.track.centreline import Centreline
 from racerl.track.check import check
+from racerl.track.curve import arc_length
 from racerl.track.load import Given
 from racerl.track.track import Array
 
@@ -82,10 +83,10 @@ def generate(sketch: Sketch) -> Centreline:
 def _through(corners: Array, sketch: Sketch, phase: float) -> Centreline:
     """Return points every SPACING on a spline through corners, and widths that swell along it."""
     closed = np.vstack([corners, corners[:1]])
-    chord = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(closed, axis=0).T))])
+    chord = arc_length(closed)
     spline = make_interp_spline(chord, closed, k=3, bc_type="periodic")
     fine = spline(np.linspace(0.0, chord[-1], 100 * len(corners) + 1))
-    arc = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(fine, axis=0).T))])
+    arc = arc_length(fine)
     share = np.arange(round(arc[-1] / SPACING)) / round(arc[-1] / SPACING)
     points = np.stack([np.interp(share * arc[-1], arc, axis) for axis in fine.T], axis=1)
     low, high = sketch.half_width

@@ -13,6 +13,7 @@ from scipy.integrate import cumulative_simpson
 from scipy.interpolate import BSpline, PchipInterpolator, splprep
 
 from racerl.errors import TrackError
+from racerl.track.curve import arc_length, curvature
 
 SPACING = 0.04  # m, aimed at; the length is divided evenly
 SMOOTHING = 1e-3  # m
@@ -72,7 +73,7 @@ def build_track(name: str, points: Array, width_right: Array, width_left: Array)
     points, width_right, width_left = _without_repeats(name, points, width_right, width_left)
     _check(name, points, width_right, width_left)
     closed = np.vstack([points, points[:1]])
-    chord = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(closed, axis=0).T))])
+    chord = arc_length(closed)
     (knots, coefficients, degree), _ = splprep(closed.T, u=chord, k=5, s=len(points) * SMOOTHING**2, per=True)
     spline = BSpline(knots, np.asarray(coefficients).T, degree)
 
@@ -87,14 +88,14 @@ def build_track(name: str, points: Array, width_right: Array, width_left: Array)
     s = np.arange(max(MIN_POINTS, round(length / SPACING))) * (length / max(MIN_POINTS, round(length / SPACING)))
     u = np.interp(s, arc, fine)
 
-    (x, y), (dx, dy), (ddx, ddy) = spline(u).T, spline(u, 1).T, spline(u, 2).T
+    (x, y), along = spline(u).T, spline(u, 1)
     return Track(
         name=name,
         length=length,
         x=x,
         y=y,
-        yaw=np.arctan2(dy, dx),
-        curvature=(dx * ddy - dy * ddx) / np.hypot(dx, dy) ** 3,
+        yaw=np.arctan2(along[:, 1], along[:, 0]),
+        curvature=curvature(along, spline(u, 2)),
         width_left=_periodic_widths(chord, width_left, u),
         width_right=_periodic_widths(chord, width_right, u),
     )

@@ -21,6 +21,7 @@ from racerl.env.race import V_X, YAW, Race, X, Y
 from racerl.errors import ConfigError, TrackError
 from racerl.optimum.kept import kept_lap
 from racerl.optimum.optimum import trajectory
+from racerl.track.curve import arc_length
 from racerl.track.raceline import read_raceline
 
 SPACING = 0.02  # m
@@ -71,7 +72,7 @@ class Pursuer:
     def __init__(self, settings: PurePursuit, known: Known, line: Array) -> None:
         self.settings, self.known = settings, known
         closed = np.column_stack([line, line[:, :1]])
-        s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(closed[:2])))])
+        s = arc_length(closed[:2].T)
         count = round(s[-1] / SPACING)
         even = np.stack([np.interp(np.arange(count) * (s[-1] / count), s, row) for row in closed])
         self._x, self._y, self._speed = torch.tensor(even, dtype=torch.float32)
