@@ -30,6 +30,7 @@ class Metric:
 
 
 MODEL, TWIN = "model", "twin"  # cars
+REQUIRED, OPTIONAL = ("question", "base", "arms", "seeds", "metrics"), ("claims", "cars", "twins")  # keys of a file
 LISTING = ("question", "sweeps", "twins")  # keys of a file that stands for several sweeps
 ARRIVALS = (10, 5, 3, 2)  # % over the time-optimal lap, that a training's examination comes down to
 METRICS = {
@@ -168,11 +169,10 @@ def _path(name: str) -> Path:
 
 
 def _sweep(name: str, content: Mapping[str, Any]) -> Sweep:
-    known = ("question", "base", "arms", "seeds", "metrics", "claims", "cars", "twins")
     for key in content:
-        if key not in known:
-            raise ConfigError(f"sweeps/{name}.yaml: unknown key '{key}'{suggest(key, known)}")
-    for key in known[:5]:
+        if key not in REQUIRED + OPTIONAL:
+            raise ConfigError(f"sweeps/{name}.yaml: unknown key '{key}'{suggest(key, REQUIRED + OPTIONAL)}")
+    for key in REQUIRED:
         if key not in content:
             raise ConfigError(f"sweeps/{name}.yaml: {key} is missing; give it a value")
     arms = content["arms"]

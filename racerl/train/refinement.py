@@ -118,7 +118,7 @@ class Search:
         sigma = falling(settings.perturbation, self.done, settings.count)
         alpha = falling(settings.step, self.done, settings.count)
         self.practice.drive()
-        self._begin()
+        self.practice.copy_into(self.race)  # both cars of every pair where a car stands that the policy drives
         scales = self._scales()
         normal = self._normal(scales)
         sizes = [_rms(_whole(own) * scale) for own, scale in zip(self.maps, scales, strict=True)]
@@ -170,10 +170,6 @@ class Search:
         return [
             (draw(len(biases)), draw(len(scale)) / scale) for (_, biases), scale in zip(self.maps, scales, strict=True)
         ]
-
-    def _begin(self) -> None:
-        """Put both cars of every pair where a car stands that the policy drives."""
-        self.practice.copy_into(self.race)
 
     def _fitness(self, normal: Sequence[tuple[Tensor, Tensor]], sizes: Sequence[Tensor]) -> Tensor:
         """Return what all cars make (2 P,) in m: progress until they crash, less the price of the boundary."""

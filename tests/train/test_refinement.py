@@ -63,7 +63,7 @@ def test_both_cars_of_a_pair_start_alike_in_one_world():
     found = search(PLAN, "+dr=friction_0.02", "dr.sigma=0.1")
     for _ in range(5):
         found.lead.step(found.network(found.lead.observe()))
-    found._begin()
+    found.practice.copy_into(found.race)
     for kept in (found.race.state, found.race.command, found.race.draws.values, found.race.place):
         ahead, behind = kept.chunk(2, dim=-1)
         assert torch.equal(ahead, behind)
@@ -100,7 +100,7 @@ def test_pairs_begin_with_what_their_car_remembers():
     fresh = found.lead.age == 0
     assert fresh.any() and (found.practice.memory[fresh] == 0.0).all()
     assert found.practice.memory[~fresh].abs().max(dim=1).values.min() > 0.0
-    found._begin()
+    found.practice.copy_into(found.race)
     given, seen = found._perturbed, []
     found._perturbed = lambda x, memory, *rest: seen.append(memory) or given(x, memory, *rest)
     found._fitness(found._normal(found._scales()), [torch.zeros(())] * 5)
@@ -152,7 +152,7 @@ def test_the_boundary_has_a_price():
         for weights, _ in one.maps:
             weights.zero_()
         one.maps[1][1].copy_(torch.tensor([0.4, 0.4]))  # bears off
-        one._begin()
+        one.practice.copy_into(one.race)
         normal = one._normal(one._scales())
         found.append(one._fitness(normal, [torch.zeros(())] * 2))
     free, paid, closer = found
