@@ -19,7 +19,7 @@ from racerl import bounds
 from racerl.assemble import use_threads
 from racerl.data.inspect import compare, inspect, lines_of
 from racerl.data.load import load_measured
-from racerl.data.log import CHANNELS, separate
+from racerl.data.log import CHANNELS, Log, separate
 from racerl.documents import write_json, write_parquet
 from racerl.errors import ConfigError, LogError
 from racerl.estimation.unknowns import HELD, Unknowns, choose_unknowns
@@ -60,11 +60,7 @@ def identify(
     use_threads(settings["threads"])
     began = time.perf_counter()
     configured = load_vehicle(settings["vehicle"])
-    logs, warnings = separate(load_measured(settings))
-    logs = [aligned(log, configured) for log in logs]
-    warnings += compare(logs)
-    inspected = [inspect(log, float(configured.wheelbase)) for log in logs]
-    warnings += lines_of(inspected, "warnings")
+    logs, said = _read(settings, configured)
     wiring = choose_wiring(logs, settings["inputs"])
     vehicle = wiring.driven(configured)
     unknowns = _unknowns(settings, vehicle, configured, wiring) if settings["fit"] else None
@@ -80,17 +76,12 @@ def identify(
         "fitted": task is not None,
         "logs": [log.facts() for log in logs],
         "inputs": {"steering": wiring.steering, "drive": wiring.drive},
-        "warnings": warnings,
-        "contradictions": lines_of(inspected, "contradictions"),
+        **said,
         "horizon": settings["window"],
         "slips_covered": slips_covered(vehicle, scored.states()),
     }
     if task is None:
-        everything = np.arange(scored.cut.windows.count)
-        facts |= {
-            "rmse": scored.errors(start, everything).rmse(),
-            "rmse_hold_last_state": scored.errors_of_holding(everything).rmse(),
-        }
+        facts |= _errors(scored, start)
     else:
         solution, held_out = _solve(task, scored, settings, on_progress)
         uncertainty = solution.uncertainty(task, settings["seed"])
@@ -101,14 +92,41 @@ def identify(
     facts["verdict"] = judge(facts)
     facts["warnings"] = [*_growth_warnings(facts), *facts["warnings"]]
     facts["residuals"] = {"unfitted": scored.histogram(start), "fitted": scored.histogram(theta)}
-    if task is not None:
-        write_model(folder.path / MODEL, settings["vehicle"], dict(zip(rollout.names, theta, strict=True)), facts)
-        write_cars(folder.path, vehicle, rollout.names, draws)
-    write_parquet(folder.path / OVERLAY, scored.overlay(start, theta))
-    write_parquet(folder.path / TYRES, tyre_curves(vehicle, rollout.names, theta, draws[:DRAWS]))
-    write_json(folder.path / RESULT, facts)
+    _write(folder.path, settings, scored, theta, draws, facts)
     folder.finish(seconds=round(time.perf_counter() - began, 2))
     return facts
+
+
+def _read(settings: Mapping[str, Any], configured: Vehicle) -> tuple[list[Log], dict[str, list[str]]]:
+    """Return the logs, in step with the vehicle's latencies, and the warnings and contradictions of them."""
+    logs, warnings = separate(load_measured(settings))
+    logs = [aligned(log, configured) for log in logs]
+    warnings += compare(logs)
+    inspected = [inspect(log, float(configured.wheelbase)) for log in logs]
+    warnings += lines_of(inspected, "warnings")
+    return logs, {"warnings": warnings, "contradictions": lines_of(inspected, "contradictions")}
+
+
+def _errors(scored: Scored, theta: Array) -> dict[str, Any]:
+    """Return the errors of a vehicle that was not fitted, in all windows."""
+    everything = np.arange(scored.cut.windows.count)
+    return {
+        "rmse": scored.errors(theta, everything).rmse(),
+        "rmse_hold_last_state": scored.errors_of_holding(everything).rmse(),
+    }
+
+
+def _write(
+    folder: Path, settings: Mapping[str, Any], scored: Scored, theta: Array, draws: Array, facts: Mapping[str, Any]
+) -> None:
+    """Write what was found: parameters θ (P,), draws of them (K, P), the facts."""
+    rollout = scored.rollout
+    if facts["fitted"]:
+        write_model(folder / MODEL, settings["vehicle"], dict(zip(rollout.names, theta, strict=True)), facts)
+        write_cars(folder, rollout.vehicle, rollout.names, draws)
+    write_parquet(folder / OVERLAY, scored.overlay(rollout.nominal(), theta))
+    write_parquet(folder / TYRES, tyre_curves(rollout.vehicle, rollout.names, theta, draws[:DRAWS]))
+    write_json(folder / RESULT, facts)
 
 
 def check(settings: Mapping[str, Any]) -> None:

@@ -30,7 +30,13 @@ RESULT = "close.json"
 MEASURES = ("mean_lap_s", "e_off", "crash_share")  # less is better
 RESAMPLES, TAIL = 4000, 2.5  # of the bootstrap; its tails in percent
 SHOWN = (*MEASURES, "fastest_valid_lap_s", "laps", "valid_laps")
-ONWARD = ("budget", "device")  # words for training that the refinement of a policy follows, too
+ONWARD = (
+    "budget",
+    "device",
+    "threads",
+    "vehicle",
+    "seed",
+)  # words for training that the refinement of a policy follows, too
 
 
 def close(
@@ -46,13 +52,7 @@ def close(
     logs = [settings["logs"]] if isinstance(settings["logs"], str) else list(settings["logs"])
     finished = len(logs) == 1 and Path(logs[0]).is_dir()
     diagnosis = compose("gap", [f"logs={logs}", f"threads={settings['threads']}", *map(str, settings["gap"])])
-    words = [*map(str, settings["train"]), f"threads={settings['threads']}"]
-    if mine := [word for word in words if word.lstrip("+~").startswith("vehicle")]:
-        raise ConfigError(
-            f"train = {mine[0]}: each policy has a vehicle of its own; real= is the car, gap= has the rest"
-        )
-    trainings = _trainings(settings)
-    seeds, laps = seeds_of(settings["seeds"]), bounds.whole("laps", settings["laps"], 1, 10_000)
+    words, trainings, race = _words(settings), _trainings(settings), _race(settings)
     # what cannot be read is told before anything is written
     training = compose("train", [f"vehicle={settings['real']}", *words])
     load_vehicle(training["vehicle"])
@@ -69,38 +69,49 @@ def close(
     cars = {"old": found / MODEL_BEFORE, "refined": found / MODEL, "new": found / MODEL, "oracle": settings["real"]}
     if not improved_by(training["budget"]):
         del cars["refined"]
-    onward = [word for word in words if word.lstrip("+~").partition("=")[0].partition(".")[0] in ONWARD]
     rows: dict[str, list[dict[str, Any]]] = {kind: [] for kind in cars}
     jobs = [(seed, kind) for seed in trainings for kind in cars]
     for i, (seed, kind) in enumerate(jobs):
         on_progress(i / len(jobs), f"{kind}, seed {seed}: training")
         trained, raced = folder.path / f"{kind}_{seed}", folder.path / f"{kind}_{seed}_race"
         if not is_complete(trained):
-            own = [f"vehicle={cars[kind]}", f"seed={seed}"]
-            if kind == "refined":
-                before = f"from={folder.path / f'old_{seed}'}"
-                train_onward(compose("refine", [before, *own, *onward, f"threads={settings['threads']}"]), trained)
-            else:
-                train(compose("train", [*words, *own]), trained)
+            before = folder.path / f"old_{seed}" if kind == "refined" else None
+            _train(trained, before, [*words, f"vehicle={cars[kind]}", f"seed={seed}"], compose)
         require_sound(trained)
         on_progress((i + 0.7) / len(jobs), f"{kind}, seed {seed}: racing")
         if not is_complete(raced):
-            race = [f"run={trained}", f"vehicle={settings['real']}", f"laps={laps}", f"seeds={seeds}"]
-            evaluate(compose("evaluate", race), raced)
-        seconds = RunFolder.open_complete(trained, "train").manifest["seconds"]
-        shown = {key: read_json(raced / METRICS)[key] for key in SHOWN}
-        rows[kind].append({"seed": seed, "training_s": seconds, **shown})
-    facts: dict[str, Any] = {
-        "effects": [effect["name"] for effect in verdict["effects"]],
-        "policies": {kind: {**means(each), "trainings": each} for kind, each in rows.items()},
-    }
-    for kind, key in (("new", "recovered"), ("refined", "recovered_by_refining")):
-        if kind in cars:
-            three = ("old", kind, "oracle")
-            facts[key] = {m: recovered(*(facts["policies"][each][m] for each in three)) for m in MEASURES}
-            facts[f"{key}_ci95"] = {measure: interval([rows[each] for each in three], measure) for measure in MEASURES}
+            evaluate(compose("evaluate", [f"run={trained}", *race]), raced)
+        rows[kind].append({"seed": seed, **_row(trained, raced)})
+    facts = {"effects": [effect["name"] for effect in verdict["effects"]], **_compared(rows)}
     write_json(folder.path / RESULT, facts)
     folder.finish()
+    return facts
+
+
+def _train(out: Path, before: Path | None, words: Sequence[str], compose: Compose) -> None:
+    """Train a policy, or refine the one that was trained before."""
+    if before is None:
+        train(compose("train", words), out)
+    else:
+        onward = [word for word in words if word.lstrip("+~").partition("=")[0].partition(".")[0] in ONWARD]
+        train_onward(compose("refine", [f"from={before}", *onward]), out)
+
+
+def _row(trained: Path, raced: Path) -> dict[str, Any]:
+    """Return how long a policy was trained, in s, and how it raced."""
+    seconds = RunFolder.open_complete(trained, "train").manifest["seconds"]
+    return {"training_s": seconds, **{key: read_json(raced / METRICS)[key] for key in SHOWN}}
+
+
+def _compared(rows: Mapping[str, Sequence[Mapping[str, Any]]]) -> dict[str, Any]:
+    """Return the means of every kind's trainings, and the shares of the oracle's gain that they recovered."""
+    policies: dict[str, dict[str, Any]] = {kind: {**means(each), "trainings": each} for kind, each in rows.items()}
+    facts: dict[str, Any] = {"policies": policies}
+    for kind, key in (("new", "recovered"), ("refined", "recovered_by_refining")):
+        if kind in rows:
+            three = ("old", kind, "oracle")
+            facts[key] = {m: recovered(*(policies[each][m] for each in three)) for m in MEASURES}
+            facts[f"{key}_ci95"] = {m: interval([rows[each] for each in three], m) for m in MEASURES}
     return facts
 
 
@@ -108,6 +119,22 @@ def means(trainings: Sequence[Mapping[str, Any]]) -> dict[str, float | None]:
     """Return the mean of every measure over trainings; None where one has no lap to take it from."""
     columns = {measure: [row[measure] for row in trainings] for measure in MEASURES}
     return {measure: None if None in column else fmean(column) for measure, column in columns.items()}
+
+
+def _words(settings: Mapping[str, Any]) -> list[str]:
+    """Return the words that all trainings follow; raise ConfigError where one names a vehicle."""
+    words = [*map(str, settings["train"]), f"threads={settings['threads']}"]
+    if mine := [word for word in words if word.lstrip("+~").startswith("vehicle")]:
+        raise ConfigError(
+            f"train = {mine[0]}: each policy has a vehicle of its own; real= is the car, gap= has the rest"
+        )
+    return words
+
+
+def _race(settings: Mapping[str, Any]) -> list[str]:
+    """Return the words that all races follow."""
+    seeds, laps = seeds_of(settings["seeds"]), bounds.whole("laps", settings["laps"], 1, 10_000)
+    return [f"vehicle={settings['real']}", f"laps={laps}", f"seeds={seeds}"]
 
 
 def _trainings(settings: Mapping[str, Any]) -> list[int]:
