@@ -1,6 +1,6 @@
 """The proof: how far the gap shrinks on windows that no fit has seen, per channel and horizon."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -25,16 +25,22 @@ STEP = 17  # samples between the points of a window's path
 def prove(investigation: Investigation, found: FittedModel) -> dict[str, Any]:
     """Return the gap before and after; `before` is the refitted vehicle without the effects found.
 
-    Windows that some vehicle misses by far, such as spins that it foretells the other way round, are counted apart.
+    A window that a vehicle misses by far, such as a spin that it foretells the other way round, counts up to a limit;
+    one that is missed so without the effects and with them is left out.
     """
     base = held_out_errors(investigation, investigation.base)
     after = {**base, **held_out_errors(investigation, found)}
     told = (unfitted(investigation).errors(), base, after, investigation.noise_errors)
-    powers = [_power(investigation, errors) for errors in told]
-    tame = {stage: _tame(investigation, stage, [power[stage] for power in powers]) for stage in base}
+    weights = [_weights(investigation, errors) for errors in told]
+    limited = [
+        {stage: part * weight[stage] for stage, part in errors.items()}
+        for errors, weight in zip(told, weights, strict=True)
+    ]
+    powers = [_power(investigation, errors) for errors in limited]
+    tame = {stage: _tame(weights[1][stage], weights[2][stage]) for stage in base}
     gap = _gap(*(np.concatenate([part[stage][tame[stage]] for stage in base]) for part in powers))
     gap["ci95"] = _interval(investigation, *powers[1:], tame=tame)
-    calm = [{stage: errors[stage][:, :, tame[stage]] for stage in base} for errors in told]
+    calm = [{stage: errors[stage][:, :, tame[stage]] for stage in base} for errors in limited]
     gap["by_channel"] = _by_channel(investigation, *calm[1:])
     return {
         "gap": gap,
@@ -110,10 +116,17 @@ def _path(investigation: Investigation, before: Array, after: Array, floor: Arra
     ]
 
 
-def _tame(investigation: Investigation, stage: str, powers: Sequence[Array]) -> NDArray[np.bool_]:
-    """Return the windows (W,) that no vehicle misses by far."""
-    masks = [power < wild(investigation, stage, power) for power in powers]
-    tame: NDArray[np.bool_] = np.logical_and.reduce(masks)
+def _weights(investigation: Investigation, errors: Mapping[str, Array]) -> dict[str, Array]:
+    """Return by what errors of every window (W,) are multiplied, per stage, so that none counts beyond a limit."""
+    limits = {
+        stage: (power, wild(investigation, stage, power)) for stage, power in _power(investigation, errors).items()
+    }
+    return {stage: np.sqrt(limit / np.maximum(power, limit)) for stage, (power, limit) in limits.items()}
+
+
+def _tame(before: Array, after: Array) -> NDArray[np.bool_]:
+    """Return the windows (W,) that are within the limit without the effects or with them, from their weights."""
+    tame: NDArray[np.bool_] = (before == 1.0) | (after == 1.0)
     return tame if tame.any() else np.ones_like(tame)
 
 
