@@ -208,6 +208,17 @@ def _runs(name: str, table: pd.DataFrame, complete: NDArray[np.bool_], dt: float
     return np.concatenate([[0], np.cumsum(fresh)]).astype(np.int64)
 
 
+def common_sample_time(logs: Sequence[Log]) -> float:
+    """Return the time between samples of some logs in s; raise LogError where they differ in it."""
+    dt = logs[0].dt
+    for other in logs:
+        if abs(other.dt - dt) > 1e-3 * dt:
+            raise LogError(
+                f"{logs[0].name}: samples {dt:g} s apart, {other.name}: {other.dt:g} s; give data.resample=…"
+            )
+    return dt
+
+
 def separate(logs: Sequence[Log]) -> tuple[list[Log], list[str]]:
     """Return the logs without runs that were there before, and a line for each that was left out.
 

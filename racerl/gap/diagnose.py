@@ -64,9 +64,9 @@ def gap(settings: Mapping[str, Any], out: Path, on_progress: OnProgress = silent
     check(settings)
     vehicle = load_vehicle(settings["vehicle"])
     logs = load_measured(settings)
+    evidence = cut(logs, settings)
     folder = RunFolder.start(out, "gap", settings, seed=settings["seed"], threads=settings["threads"])
     on_progress("refitting the vehicle", 0.0)
-    evidence = cut(logs, settings)
     inspected = [inspect(log, float(vehicle.wheelbase)) for log in logs]
     told: dict[str, Any] = {
         "logs": [log.facts() for log in logs],

@@ -12,7 +12,7 @@ from scipy.special import comb
 
 from racerl.data.agreement import compare_with_poses
 from racerl.data.differentiate import velocities
-from racerl.data.log import POSE, VELOCITY, Log
+from racerl.data.log import POSE, VELOCITY, Log, common_sample_time
 from racerl.estimation.windows import window_starts
 from racerl.gap.stage import Stage
 from racerl.vehicle.rollout import Windows
@@ -64,7 +64,9 @@ class Evidence:
         """Cut windows side by side; None where the logs lack what the stage needs.
 
         Windows in which the car is slower than `slowest` m/s are left out but for the steering: tyres are stiff there.
+        Raises LogError where the logs differ in the time between samples.
         """
+        dt = common_sample_time(logs)
         channels = channels_of(logs)
         if not channels >= set(stage.needed) or not channels & set(stage.outputs):
             return None
@@ -85,13 +87,11 @@ class Evidence:
             run.append(np.full(len(places), number))
         observed = [name for name in stage.outputs if name in channels]
         if {*POSE, *VELOCITY} <= set(observed):
-            if derived(runs, logs[0].dt):
+            if derived(runs, dt):
                 observed = list(POSE)
             elif contradictory(logs):
                 observed = list(VELOCITY)
-        return cls(
-            stage, columns, first, last, np.concatenate(start), np.concatenate(run), length, logs[0].dt, tuple(observed)
-        )
+        return cls(stage, columns, first, last, np.concatenate(start), np.concatenate(run), length, dt, tuple(observed))
 
     def parted(self, length: int) -> "Evidence":
         """Return the same rows in windows of `length` intervals, as many as fit into each window side by side."""

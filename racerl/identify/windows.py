@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from racerl.data.log import VELOCITY, Log
+from racerl.data.log import VELOCITY, Log, common_sample_time
 from racerl.errors import LogError
 from racerl.estimation.windows import window_starts
 from racerl.vehicle.rollout import Windows, drive_by, settle
@@ -104,11 +104,7 @@ def cut(logs: Sequence[Log], wiring: Wiring, vehicle: Vehicle, length: int, stri
     Windows in which the car is slower than `slowest` m/s are left out. The weights are one. Raises LogError when no
     run is long enough or none moves.
     """
-    dt = logs[0].dt
-    for other in logs:
-        if abs(other.dt - dt) <= 1e-3 * dt:
-            continue
-        raise LogError(f"{logs[0].name}: samples {dt:g} s apart, {other.name}: {other.dt:g} s; give data.resample=…")
+    dt = common_sample_time(logs)
     parts = list(_cut_runs(logs, wiring, vehicle, length, stride, slowest))
     longest = max(len(rows) for log in logs for rows in log.runs())
     if not parts and longest <= length:

@@ -244,6 +244,15 @@ def test_settings_out_of_range_are_refused_before_anything_is_written(clean, tmp
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize("stage", [gap, lambda settings, out: plan(settings, out, compose_settings)])
+def test_logs_of_other_sample_times_are_refused_before_anything_is_written(clean, tmp_path, stage):
+    coarse = dataclasses.replace(clean, name="coarse", table=clean.table[::2])
+    logs = [str(path) for log in (clean, coarse) for path in settings_for(log, tmp_path)["logs"]]
+    with pytest.raises(LogError, match=r"0\.01 s apart, coarse.*: 0\.02 s; give data\.resample"):
+        stage({**settings_for(clean, tmp_path), "logs": logs}, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
 def test_where_an_actuator_was_not_measured_its_command_drives():
     everything = {"delta", "omega", "delta_ref", "omega_ref", "v_x"}
     assert stages(everything)[2].inputs == ("delta", "omega")
