@@ -624,6 +624,7 @@ def _plan(settings: "Settings", out: Path) -> None:
     lines += [f"{len(dark)} of {len(facts['effects'])} effects would not show at their usual size: {', '.join(dark)}"]
     lines += [f"alike: {' and '.join(row['effects'])} (cosine {row['cosine']:+.3f})" for row in facts["alike"][:PAIRS]]
     lines += [f"drive next: {row['drive']} (for {', '.join(row['for'])})" for row in facts["next"]]
+    lines += [f"warning: {remark}" for remark in facts["remarks"]]
     _print_lines(console, *lines, f"numbers in {out / PLAN}, picture in {out / 'separability.svg'}")
 
 

@@ -13,7 +13,7 @@ import yaml
 from racerl import bounds
 from racerl.data.inspect import inspect, lines_of
 from racerl.data.load import load_measured
-from racerl.data.log import POSE, Log
+from racerl.data.log import POSE, Log, separate
 from racerl.documents import conf_folder, write_json, write_text
 from racerl.estimation.unknowns import HELD, choose_unknowns
 from racerl.gap import residual
@@ -63,14 +63,14 @@ def gap(settings: Mapping[str, Any], out: Path, on_progress: OnProgress = silent
     began = time.perf_counter()
     check(settings)
     vehicle = load_vehicle(settings["vehicle"])
-    logs = load_measured(settings)
+    logs, doubled = separate(load_measured(settings))
     evidence = cut(logs, settings)
     folder = RunFolder.start(out, "gap", settings, seed=settings["seed"], threads=settings["threads"])
     on_progress("refitting the vehicle", 0.0)
     inspected = [inspect(log, float(vehicle.wheelbase)) for log in logs]
     told: dict[str, Any] = {
         "logs": [log.facts() for log in logs],
-        "remarks": lines_of(inspected, "warnings"),
+        "remarks": [*doubled, *lines_of(inspected, "warnings")],
         "contradictions": lines_of(inspected, "contradictions"),
         "untestable": _untestable(evidence, channels_of(logs)),
     }

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from racerl.data.load import load_measured
-from racerl.data.log import Log
+from racerl.data.log import Log, separate
 from racerl.documents import write_json
 from racerl.errors import LogError
 from racerl.gap.checkpoint import Checkpoint
@@ -41,7 +41,8 @@ def plan(
     """
     check(settings)
     vehicle = load_vehicle(settings["vehicle"])
-    logs = load_measured(settings) if settings["logs"] else [programme(settings, compose)]
+    given = load_measured(settings) if settings["logs"] else [programme(settings, compose)]
+    logs, doubled = separate(given)
     evidence = cut(logs, settings)
     if not evidence:
         told = ", ".join(f"{log.name}: {log.seconds:.1f} s" for log in logs)
@@ -54,6 +55,7 @@ def plan(
     on_progress("what the log could tell", 0.8)
     facts = {
         "logs": [log.facts() for log in logs],
+        "remarks": doubled,
         **telling(summed(scores(investigation, investigation.base).values())),
     }
     write_json(folder.path / PLAN, facts)

@@ -201,15 +201,28 @@ def test_a_clean_log_gets_no_name(clean, tmp_path):
     assert facts["gap"]["before"] == pytest.approx(1.0, abs=0.15) and facts["gap"]["explained"] < 0.5
 
 
-def test_a_log_without_driving_gives_no_guess(clean, tmp_path):
+@pytest.fixture
+def parked(clean):
     still = clean.table.assign(v_x=0.0, omega=0.0, delta=0.0, x=1.0, y=1.0, yaw=0.0)
-    parked = dataclasses.replace(clean, name="parked", table=still[still["t"] - still["t"].min() < 10.0])
+    return dataclasses.replace(clean, name="parked", table=still[still["t"] - still["t"].min() < 10.0])
+
+
+def test_a_log_without_driving_gives_no_guess(parked, tmp_path):
     facts = gap(settings_for(parked, tmp_path), tmp_path / "out")
     assert facts["verdict"] == "under_excited" and facts["effects"] == [] and "circles" in facts["next_manoeuvre"]
     assert load_vehicle({"file": str(tmp_path / "out" / "model.yaml")}).effects == {}
     assert "under excited" in draw_gap(tmp_path / "out").read_text()
     with pytest.raises(LogError, match=r"20 stretches of 85 samples above 0\.5 m/s"):
         plan(settings_for(parked, tmp_path), tmp_path / "plan", compose_settings)
+
+
+def test_a_log_that_is_given_twice_counts_once(parked, tmp_path):
+    settings = settings_for(parked, tmp_path)
+    settings |= {"logs": 2 * settings["logs"]}
+    facts = gap(settings, tmp_path / "out")
+    assert len(facts["logs"]) == 1 and "are copies of others and were left out" in facts["remarks"][0]
+    with pytest.raises(LogError, match=r"^[^,]*: 10\.0 s; 20 stretches"):
+        plan(settings, tmp_path / "plan", compose_settings)
 
 
 @needs_compiler
