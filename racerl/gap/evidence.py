@@ -241,9 +241,11 @@ class Evidence:
         return {}
 
     def _noise_in(self, column: Array) -> float:
+        """Return the noise of a column, every run weighted by the samples that its local polynomials leave free."""
         parts = [column[run] for run in self.runs]
-        squares, sizes = [_spread(part) ** 2 for part in parts], [len(part) for part in parts]
-        return max(float(np.sqrt(np.average(squares, weights=sizes))), 1e-9)
+        free = np.array([max(len(part) - LOCAL, 0) for part in parts])
+        squares = np.array([_spread(part) ** 2 for part in parts])
+        return max(float(np.sqrt(squares @ free / max(free.sum(), 1))), 1e-9)
 
 
 def contradictory(logs: Sequence[Log]) -> bool:

@@ -97,6 +97,17 @@ def test_the_noise_of_every_channel_is_found(clean):
     assert Evidence.of([clean], STEERING, 40, 0.5).noise()[0] == pytest.approx(0.002, rel=0.1)
 
 
+def test_the_noise_of_a_log_in_fragments_is_that_of_its_long_runs(clean):
+    """Fragments of eight samples show none, and half of the rows are in such."""
+    t, rows = clean.table["t"].to_numpy(), np.arange(len(clean.table))
+    half = len(rows) // 2
+    runs = np.where(rows < half, 0, 1 + (rows - half) // 8)
+    log = dataclasses.replace(clean, table=clean.table.assign(run=runs, t=t + 5.0 * runs))
+    assert Evidence.of([log], STEERING, 40, 0.5).noise()[0] == pytest.approx(0.002, rel=0.1)
+    short = dataclasses.replace(log, table=log.table[runs > 0])
+    assert Evidence.of([short], STEERING, 40, 0.5).noise()[0] == 1e-9
+
+
 def test_filtered_sensors_are_told_from_noisy_ones(clean):
     noisy = Evidence.of([clean], CHASSIS, 40, 0.5)
     mean = {name: np.convolve(noisy.columns[name], [0.25, 0.5, 0.25], "same") for name in noisy.observed}
