@@ -23,6 +23,7 @@ from racerl.gap.fitted_model import touched
 from racerl.gap.investigation import Investigation
 from racerl.gap.score import Score
 from racerl.gap.sentences import listed
+from racerl.gap.stage import TYRES
 
 Costs = Mapping[str, float]  # excess of every stage
 CHANCE = 5.0  # deviations of the noise's own cost, below which an excess may be chance
@@ -89,7 +90,8 @@ def _with_effects(investigation: Investigation, decision: Decision, before: Cost
     stage, left, _ = open_stage(investigation, decision, before, after, elsewhere)
     if stage:
         explained += f"; in the {stage} stage an excess of {left:.0%} over the noise's cost stays without a name"
-    foreign = investigation.shaped and rest < FOREIGN * noise
+    real = sum(_real(investigation, stage) * decision.noise[stage] for stage in moved)
+    foreign = investigation.shaped and TYRES in moved and rest < real
     coarse = any(_coarse(investigation, decision, stage, after[stage]) for stage in moved)
     if share < CREDIBLE and not foreign and not coarse:
         return Verdict("under_excited", (), (), blind, f"{explain} only {share:.0%} of a small excess")
@@ -156,19 +158,25 @@ def open_stage(
         if among is not None and name not in among:
             continue
         left, first = after[name] / noise, before[name] / noise
-        real = max(FOREIGN if investigation.shaped else REAL, CHANCE * investigation.chance[name])
+        real = max(_real(investigation, name), CHANCE * investigation.chance[name])
         if decision.chosen and _coarse(investigation, decision, name, after[name]):
             continue
-        may_stay = _may_stay(investigation, decision, name) * first if decision.chosen else 0.0
-        if left > real + may_stay and left > worst[1]:
+        if left > real + _may_stay(investigation, decision, name) * first and left > worst[1]:
             worst = (name, left, first)
     return worst
 
 
+def _real(investigation: Investigation, stage: str) -> float:
+    """Return the excess over the noise's cost beyond which it is real; tyres of another formula leave more."""
+    return FOREIGN if investigation.shaped and stage == TYRES else REAL
+
+
 def _may_stay(investigation: Investigation, decision: Decision, stage: str) -> float:
-    """Return which share of a stage's excess may stay behind right names."""
+    """Return which share of a stage's excess may stay behind right names; none where they do not act."""
     vehicle = decision.found.vehicle
     acting = [name for name in decision.chosen if stage in touched(investigation, vehicle, [name])]
+    if not acting:
+        return 0.0
     return LEFT_EXACT if all(vehicle.effects[name].exact for name in acting) else LEFT
 
 

@@ -870,6 +870,38 @@ def test_an_excess_that_another_drive_might_have_by_chance_is_none(chance, shape
     assert open_stage(investigation, decision, {"chassis": left}, {"chassis": left})[0] == stage
 
 
+def test_tyres_of_another_formula_leave_nothing_where_there_are_none():
+    investigation = SimpleNamespace(chance={"drive": 0.005}, shaped=True)
+    decision = SimpleNamespace(chosen=[], found=SimpleNamespace(vehicle=make_car()), noise={"drive": 1e5})
+    for left, stage in ((4e3, ""), (8e3, "drive")):
+        assert open_stage(investigation, decision, {"drive": left}, {"drive": left})[0] == stage
+
+
+def test_a_servo_that_explains_little_of_a_small_excess_is_not_excused_by_tyres(monkeypatch):
+    monkeypatch.setattr("racerl.gap.verdict.fitted", lambda *_: ({"drive": 1000.0}, {"drive": 540.0}))
+    monkeypatch.setattr("racerl.gap.verdict.touched", lambda *_: ["drive"])
+    evidence = {"drive": SimpleNamespace(filtered=False)}
+    investigation = SimpleNamespace(shaped=True, chance={"drive": 0.005}, evidence=evidence)
+    decision = SimpleNamespace(
+        chosen=["current_limit"],
+        kept={},
+        found=SimpleNamespace(vehicle=make_car("+vehicle/effect=current_limit")),
+        noise={"drive": 1e5},
+        score=Score([], np.zeros((0, 0)), np.zeros(0)),
+        doubted="",
+    )
+    assert judge(investigation, decision).kind == "under_excited"
+
+
+def test_where_no_effect_acts_nothing_is_excused_by_one(monkeypatch):
+    monkeypatch.setattr("racerl.gap.verdict.touched", lambda *_: ["drive"])
+    investigation = SimpleNamespace(chance={"chassis": 0.005}, shaped=False, evidence={})
+    found = SimpleNamespace(vehicle=make_car("+vehicle/effect=current_limit"))
+    decision = SimpleNamespace(chosen=["current_limit"], found=found, noise={"chassis": 1e5})
+    excess = {"chassis": 5.4e3}
+    assert open_stage(investigation, decision, excess, excess)[0] == "chassis"
+
+
 @pytest.mark.parametrize(("name", "most"), [("steering_gain", 0.1), ("drive_split", 0.25)])
 def test_an_effect_of_one_form_must_leave_less(name, most, monkeypatch):
     evidence = SimpleNamespace(filtered=False)
