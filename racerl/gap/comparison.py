@@ -226,8 +226,10 @@ class Judge:
         best, errors = gains.max(axis=1), np.array([self._error(rows[0], row, before) for row in rows])
         apart = np.tile(errors, (RESAMPLES, 1))
         apart[:, 0] = errors[gains.argmax(axis=1)]
-        shares = np.array([row.explained for row in rows]) * falls / np.maximum(falls.mean(axis=0), 1e-9)
-        alike = best[:, None] - gains <= SAME * apart
+        usual = falls.mean(axis=0)  # of one that helps no resample says by how much more
+        ratio = np.divide(falls, usual, out=np.ones_like(falls), where=usual > 0.0)
+        shares = np.array([row.explained for row in rows]) * ratio
+        alike = (best[:, None] - gains <= SAME * apart) & (gains > 0.0)
         worth = np.where(alike, shares - PARAMETER * np.array([row.size for row in rows]), -np.inf)
         first = np.where(best > 0.0, worth.argmax(axis=1), -1)
         came = [float((first == i).mean()) for i in range(len(rows))]

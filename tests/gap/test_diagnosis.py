@@ -675,6 +675,11 @@ def test_a_name_is_as_stable_as_resamples_of_the_runs_leave_it(monkeypatch):
     assert leads("even", 30.0, []) == 1.0 and leads("uneven", 30.0, []) == 0.0
     assert 0.2 < leads("even", 100.0, []) < 0.8 and leads("even", 100.0, []) + leads("uneven", 100.0, []) == 1.0
     assert leads("even", 30.0, [candidate("harm", np.full(40, -9.0))]) == 1.0
+    # nor does one come first that harms on the whole, though the noise of the difference covers that
+    astray = candidate("astray", np.concatenate([np.full(36, -30.0), np.full(4, 180.0)]))
+    small = candidate("even", np.full(40, 1.0))
+    led = {row.name: row.leads for row in judge.ranked([small, astray], before)}
+    assert led["even"] > 0.9
 
 
 def test_of_effects_that_are_one_the_first_by_name_stands_for_all():
