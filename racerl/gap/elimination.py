@@ -4,7 +4,7 @@ What they make needless is taken out, and a rival that now explains more takes i
 identified again, and an effect goes whose interval then holds the value of no effect, or all of the floor as its place.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -82,7 +82,7 @@ def settled(judge: Judge, decision: Decision) -> Decision:
             kept = {
                 name: [rows[0], *_somewhere(investigation, decision, rows[1:])] for name, rows in decision.kept.items()
             }
-            return replace(decision, found=found, kept=kept)
+            return replace(decision, found=found, kept=kept, features=_as_kept(decision.features, kept))
         decision = _without(judge, decision, idle[0], without(investigation, found, idle[0]))
 
 
@@ -102,17 +102,36 @@ def _without(judge: Judge, decision: Decision, name: str, less: FittedModel) -> 
 
 
 def _passed_on(seen: Sequence[Mapping[str, Any]], name: str, follows: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return what rounds saw, with the one that found an effect as it `follows` without; neither comes up later.
+    """Return what rounds saw, with the one that found an effect as it `follows` without.
 
     An effect that came in the place of another was found in no round.
     """
-    out = {name, follows["candidates"][0]["name"]}
-    first = [each["candidates"][0]["name"] if each["candidates"] else "" for each in seen]
-    if name not in first:
-        return [*map(dict, seen)]
-    found = first.index(name)
-    later = [{**each, "candidates": [row for row in each["candidates"] if row["name"] not in out]} for each in seen]
-    return [*map(dict, seen[:found]), follows, *later[found + 1 :]]
+    return [follows if _first(each) == name else dict(each) for each in seen]
+
+
+def _as_kept(seen: Sequence[Mapping[str, Any]], kept: Collection[str]) -> list[dict[str, Any]]:
+    """Return what rounds saw, of all but the last only those that found an effect which is kept.
+
+    A rival in its place comes first, and not again later. The round behind one that is left out begins with its excess.
+    """
+    found: list[dict[str, Any]] = []
+    first, added = {_first(each) for each in seen[:-1]}, set()
+    begun: dict[str, Any] = {}
+    for each in seen:
+        rows = [row for row in each["candidates"] if row["name"] not in added]
+        begun = {**each, **begun, "candidates": rows}
+        own = [row for row in rows if row["name"] in kept and row["name"] not in first - {_first(each)}]
+        if each is seen[-1]:
+            found.append(begun)
+        elif own:
+            found.append({**begun, "candidates": [own[0], *(row for row in rows if row is not own[0])]})
+            added.add(own[0]["name"])
+            begun = {}
+    return found
+
+
+def _first(each: Mapping[str, Any]) -> str:
+    return each["candidates"][0]["name"] if each["candidates"] else ""
 
 
 def _sound(judge: Judge, lacking: Decision, rivals: Sequence[CandidateScore]) -> list[CandidateScore]:

@@ -856,8 +856,32 @@ def test_a_rival_takes_the_place_of_an_effect_that_is_nowhere(monkeypatch, neede
     exchanged = dataclasses.replace(begun, features=seen[1:])  # it came in the place of another
     assert settled(judge, exchanged).features == seen[1:]
     told = [[row["name"] for row in each["candidates"]] for each in decision.features]  # what hypotheses go by
-    before = [["road_bank", "aero_drag", "road_slope"], ["aero_drag", "road_slope"]]
-    assert told == ([["road_slope"], ["aero_drag"]] if needed else before)
+    assert told == ([["road_slope"], ["aero_drag"]] if needed else [["aero_drag", "road_slope"]])
+
+
+@pytest.mark.parametrize(
+    ("kept", "told", "excess"),
+    [
+        ("abc", ["ar", "br", "cr", "rd"], [9, 4, 2, 1]),
+        ("bc", ["br", "cr", "rd"], [9, 2, 1]),  # what the first found went again: the second begins where it did
+        ("rbc", ["ra", "b", "c", "d"], [9, 4, 2, 1]),  # or a rival took its place, and is no candidate later
+        ("ab", ["ar", "br", "rd"], [9, 4, 2]),
+        ("", ["rd"], [9]),
+    ],
+)
+def test_hypotheses_go_by_the_effects_that_are_kept(kept, told, excess):
+    seen = [
+        {"fit": left, "candidates": [{"name": name} for name in names]}
+        for names, left in zip(("ar", "br", "cr", "rd"), (9, 4, 2, 1), strict=True)
+    ]
+    found = elimination._as_kept(seen, kept)
+    assert ["".join(row["name"] for row in each["candidates"]) for each in found] == told
+    assert [each["fit"] for each in found] == excess
+
+
+def test_a_round_that_lost_its_only_candidate_is_left_out():
+    rounds = [{"fit": 1, "candidates": [{"name": "a"}]}, {"fit": 1, "candidates": []}, {"fit": 0, "candidates": []}]
+    assert [len(each["candidates"]) for each in elimination._as_kept(rounds, ["a"])] == [1, 0]
 
 
 @pytest.mark.parametrize(
