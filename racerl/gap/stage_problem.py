@@ -62,7 +62,8 @@ class StageProblem:
         """Return all that a fit of these windows comes from, but for where it starts."""
         table = {name: float(value) for name, value in values(self.vehicle).items()}
         of_effects = [list(self.vehicle.effects), list(self.kernel.catalogue), self.rollout.names]
-        return [self.evidence.stage.name, self.evidence.early, self.names, self.sigma, table, of_effects]
+        windows = [self.evidence.stage.name, self.evidence.early, self.evidence.length, self.evidence.start]
+        return [*windows, self.names, self.sigma, table, of_effects]
 
     def columns(self) -> list[int]:
         """Return the kernel's unknowns that are needed: parameters, shifts, and initial states that act."""

@@ -15,14 +15,18 @@ from racerl.errors import RunError
 from racerl.gap.checkpoint import FOLDER, Checkpoint
 from racerl.gap.cross_validation import held_out
 from racerl.gap.diagnose import cut, gap, refit
+from racerl.gap.evidence import Evidence
 from racerl.gap.noise import noise_cost
 from racerl.gap.problem import Problem
+from racerl.gap.stage import STEERING
+from racerl.gap.stage_problem import StageProblem
 from racerl.gap.uncertainty import deviations
 from racerl.gap.workers import Workers
 from racerl.vehicle import catalogue
 from racerl.vehicle import compiler as building
 from racerl.vehicle.load import load_vehicle
 from tests.gap.conftest import drive
+from tests.vehicle.conftest import make_car
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler on this machine")
 KNOWN = ("steering_delay", "steering_gain", "drive_delay")
@@ -203,3 +207,12 @@ def test_a_compiler_that_the_user_interrupts_is_no_broken_compiler(tmp_path, mon
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     with pytest.raises(KeyboardInterrupt):
         building.build("int nothing;")
+
+
+def test_a_fit_of_other_windows_of_the_same_rows_has_another_key(clean):
+    whole = Evidence.of([clean], STEERING, 80, 0.5)
+    kernel = SimpleNamespace(catalogue={}, rollout=SimpleNamespace(names=[]))
+    cuts = [whole, whole.parted(40), whole.parted(20), replace(whole, start=whole.start + 1)]
+    told = [StageProblem(cut, kernel, make_car(), (), np.ones(1)).told() for cut in (*cuts, whole)]
+    keys = [Checkpoint.key(each) for each in told]
+    assert len(set(keys)) == 4 and keys[-1] == keys[0]
