@@ -80,12 +80,12 @@ def _wheel_speed(evidence: Evidence) -> Iterator[dict[str, Any]]:
 def _steering(evidence: Evidence) -> Iterator[dict[str, Any]]:
     """Find the lag of the yaw rate behind v_x δ; tyres and yaw inertia account for some hundredths of a second."""
     have = evidence.columns
-    if not {"delta", "v_x", "yaw_rate"} <= set(have) or np.ptp(have["delta"]) == 0.0:
+    if not {"delta", "v_x", "yaw_rate"} <= set(have):
         return
     reach = round(REACH / evidence.dt)
     rows = np.flatnonzero(have["v_x"] > MOVING)
     rows = rows[(rows - reach >= evidence.first[rows]) & (rows + reach <= evidence.last[rows])]
-    if len(rows) >= FEWEST:
+    if len(rows) >= FEWEST and all(np.ptp(have[name][rows]) > 0.0 for name in ("delta", "yaw_rate")):
         turn = have["v_x"] * have["delta"]
         found = [np.corrcoef(turn[rows - k], have["yaw_rate"][rows])[0, 1] for k in range(-reach, reach + 1)]
         lag = float((int(np.argmax(found)) - reach) * evidence.dt)

@@ -22,6 +22,7 @@ from racerl.gap.diagnose import _untestable, gap, next_manoeuvre
 from racerl.gap.elimination import _idle, _nowhere, eliminated, settled
 from racerl.gap.evidence import Evidence, contradictory
 from racerl.gap.growth import growth, places
+from racerl.gap.kinematics import consistency
 from racerl.gap.locate import BINS, RATE, _test
 from racerl.gap.plan import plan, telling
 from racerl.gap.prove import explained
@@ -286,6 +287,19 @@ def test_velocities_that_lag_their_poses_stand_alone(clean):
     assert contradictory([lagging]) and not contradictory([measured])
     chassis = stages(clean.channels)[2]
     assert Evidence.of([lagging], chassis, 40, 0.5).observed == ("v_x", "v_y", "yaw_rate")
+
+
+@pytest.mark.parametrize("still", ["delta", "yaw_rate"])
+def test_what_never_changes_has_no_lag(clean, still):
+    chassis = stages(clean.channels)[2]
+
+    def compared(log):
+        return [row["what"] for row in consistency(Evidence.of([log], chassis, 85, 0.5))]
+
+    assert "yaw rate behind the steering angle" in compared(clean)
+    slow = clean.table["v_x"] < 0.8  # what it does where it hardly moves tells nothing
+    log = dataclasses.replace(clean, table=clean.table.assign(**{still: np.where(slow, clean.table[still], 0.1)}))
+    assert "yaw rate behind the steering angle" not in compared(log)
 
 
 def test_noise_alone_does_not_grow():
