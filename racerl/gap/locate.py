@@ -5,7 +5,7 @@ alike within a stretch stays together; the false-discovery rate over all maps is
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,7 @@ BINS = 6  # of equal counts; the outer ones hold the tails, too
 TAIL = 0.01
 RATE = 0.05  # of false discoveries
 ROUNDING = 1e-9  # of a spread
+BLOWN = 1e6  # m, rad, m/s or rad/s, an error of which says that a rollout blew up
 STEPS = 8  # most of a fit of initial states alone
 CLUES = 8  # of maps, in the verdict
 
@@ -74,8 +75,14 @@ def conditions(evidence: Evidence, l_f: float, l_r: float) -> dict[str, Conditio
     return found
 
 
+def sound(errors: Array) -> NDArray[np.bool_]:
+    """Return the windows (W,) in which the rollout did not blow up, from errors (T + 1, C, W)."""
+    return np.asarray(np.abs(errors).max(axis=(0, 1)) < BLOWN)  # no number is not below it
+
+
 def horizons(errors: Array) -> dict[str, list[float]]:
     """Return the RMS error (C,) so many samples into the windows, from errors (T + 1, C, W)."""
+    errors = errors[:, :, sound(errors)]
     return {str(h): np.sqrt((errors[h] ** 2).mean(axis=1)).tolist() for h in HORIZONS if h < len(errors)}
 
 
@@ -84,8 +91,9 @@ def maps(investigation: Investigation, errors: Mapping[str, Array]) -> list[dict
     found = []
     car = investigation.base.vehicle
     for name, part in errors.items():
-        evidence = investigation.evidence[name]
-        power = growth(part, investigation.noise[name])
+        whole, kept = investigation.evidence[name], sound(part)
+        evidence = replace(whole, start=whole.start[kept], run=whole.run[kept])
+        power = growth(part[:, :, kept], investigation.noise[name])
         for key, condition in conditions(evidence, float(car.arm), float(car.l_r)).items():
             values = segments(evidence, condition.values)
             edges = np.quantile(values, [TAIL, *np.linspace(0.0, 1.0, BINS + 1)[1:-1], 1.0 - TAIL])

@@ -14,7 +14,7 @@ from racerl.gap.evidence import Evidence
 from racerl.gap.fitted_model import FittedModel
 from racerl.gap.folds import blocks
 from racerl.gap.investigation import Investigation
-from racerl.gap.locate import HORIZONS, maps
+from racerl.gap.locate import HORIZONS, maps, sound
 
 Array = NDArray[np.float64]
 RESAMPLES = 2000
@@ -31,13 +31,9 @@ def prove(investigation: Investigation, found: FittedModel) -> dict[str, Any]:
     base = held_out_errors(investigation, investigation.base)
     after = {**base, **held_out_errors(investigation, found)}
     told = (unfitted(investigation).errors(), base, after, investigation.noise_errors)
-    weights = [_weights(investigation, errors) for errors in told]
-    limited = [
-        {stage: part * weight[stage] for stage, part in errors.items()}
-        for errors, weight in zip(told, weights, strict=True)
-    ]
+    limited, within = zip(*(_limited(investigation, errors) for errors in told), strict=True)
     powers = [_power(investigation, errors) for errors in limited]
-    tame = {stage: _tame(weights[1][stage], weights[2][stage]) for stage in base}
+    tame = {stage: _tame(within[1][stage], within[2][stage]) for stage in base}
     gap = _gap(*(np.concatenate([part[stage][tame[stage]] for stage in base]) for part in powers))
     gap["ci95"] = _interval(investigation, *powers[1:], tame=tame)
     calm = [{stage: errors[stage][:, :, tame[stage]] for stage in base} for errors in limited]
@@ -66,9 +62,11 @@ def _stretch(
     Every window has `t` (T + 1) in s, and `measured`, `before`, `after` (C, T + 1).
     """
     stage = max(power, key=lambda name: power[name][tame[name]].sum() / floor[name][tame[name]].sum())
-    evidence, own = investigation.evidence[stage], np.where(tame[stage], power[stage], 0.0)
+    evidence, shows = investigation.evidence[stage], sound(before[stage]) & sound(after[stage])
+    own = np.where(tame[stage] & shows, power[stage], 0.0)
     first = _worst(evidence, own)
-    shown = [w for w in range(first, min(first + STRETCH, len(own))) if evidence.run[w] == evidence.run[first]]
+    beside = range(first, min(first + STRETCH, len(own)))
+    shown = [w for w in beside if evidence.run[w] == evidence.run[first] and shows[w]]
     rows = evidence.start[shown][:, None] + np.arange(evidence.length + 1)
     time = evidence.columns["t"]
     measured = np.stack([evidence.columns[name][rows] for name in evidence.observed], axis=1)  # (N, C, T + 1)
@@ -116,17 +114,27 @@ def _path(investigation: Investigation, before: Array, after: Array, floor: Arra
     ]
 
 
-def _weights(investigation: Investigation, errors: Mapping[str, Array]) -> dict[str, Array]:
-    """Return by what errors of every window (W,) are multiplied, per stage, so that none counts beyond a limit."""
-    limits = {
-        stage: (power, wild(investigation, stage, power)) for stage, power in _power(investigation, errors).items()
-    }
-    return {stage: np.sqrt(limit / np.maximum(power, limit)) for stage, (power, limit) in limits.items()}
+def _limited(
+    investigation: Investigation, errors: Mapping[str, Array]
+) -> tuple[dict[str, Array], dict[str, NDArray[np.bool_]]]:
+    """Return errors of which those of no window count beyond a limit, and which windows (W,) are within it.
+
+    A window in which the rollout blew up counts as one at the limit.
+    """
+    found, within = {}, {}
+    for stage, part in errors.items():
+        whole = sound(part)
+        power = _power(investigation, {stage: np.where(whole, part, 0.0)})[stage]
+        limit = wild(investigation, stage, power)
+        even = investigation.noise[stage][:, None] * np.sqrt(limit / investigation.evidence[stage].numbers)
+        found[stage] = np.where(whole, part, even) * np.sqrt(limit / np.maximum(power, limit))
+        within[stage] = whole & (power <= limit)
+    return found, within
 
 
-def _tame(before: Array, after: Array) -> NDArray[np.bool_]:
-    """Return the windows (W,) that are within the limit without the effects or with them, from their weights."""
-    tame: NDArray[np.bool_] = (before == 1.0) | (after == 1.0)
+def _tame(before: NDArray[np.bool_], after: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the windows (W,) that are within the limit without the effects or with them."""
+    tame = before | after
     return tame if tame.any() else np.ones_like(tame)
 
 

@@ -1,12 +1,17 @@
 """The proof of a gap on windows made up by hand: what counts, up to which limit, and what is shown."""
 
+import json
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from racerl.gap import prove as prove_module
+from racerl.gap.comparison import WILD
+from racerl.gap.evidence import Evidence
+from racerl.gap.locate import horizons, maps
 from racerl.gap.prove import prove
+from racerl.gap.stage import stages
 from racerl.gap.verdict import Verdict, proved
 
 WINDOWS, LENGTH = 60, 85
@@ -63,3 +68,25 @@ def test_what_no_vehicle_foresees_is_left_out_and_one_window_does_not_decide(pro
 def test_windows_that_effects_spoil_speak_against_them(proof):
     told = proof(sizes(w0=(10, 2.0)), sizes(w30=(10, 40.0)))
     assert proved(Verdict("named", ("pose_latency",), (), (), ""), told["gap"]).kind == "unknown"
+
+
+@pytest.mark.parametrize("blown", [np.nan, np.inf, 1e200])
+def test_a_rollout_that_blows_up_counts_up_to_the_limit(proof, blown):
+    told = proof(sizes(w0=(10, 3.0)), sizes(w3=(1, blown)), configured=sizes(w0=(60, blown)))
+    json.dumps(told, allow_nan=False)
+    assert told["gap"]["after"] ** 2 == pytest.approx((59 + WILD) / 60)
+    assert told["gap"]["unfitted"] ** 2 == pytest.approx(WILD)
+    assert told["stretch"]["windows"] and told["wild_windows"] == {"chassis": 0}
+
+
+def test_maps_and_horizons_leave_out_rollouts_that_blew_up(clean):
+    evidence = Evidence.of([clean], stages(clean.channels)[2], LENGTH, 0.5)
+    errors = np.random.default_rng(0).standard_normal((LENGTH + 1, 3, len(evidence.start)))
+    errors[5:, 1, 7] = np.inf
+    errors[9, 2, 8] = np.nan
+    car = SimpleNamespace(vehicle=SimpleNamespace(arm=0.1, l_r=0.1))
+    known = SimpleNamespace(evidence={"chassis": evidence}, noise={"chassis": np.ones(3)}, base=car)
+    told = maps(known, {"chassis": errors}), horizons(errors)
+    json.dumps(told, allow_nan=False)
+    assert len(told[0]) > 20 and np.mean([row["p"] for row in told[0]]) > 0.3
+    assert told[1]["20"] == pytest.approx([1.0] * 3, abs=0.3)
