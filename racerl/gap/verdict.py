@@ -61,6 +61,9 @@ def _without_effects(investigation: Investigation, decision: Decision, before: C
     stage, _, first = open_stage(investigation, decision, before, after)
     if stage:
         reason = f"the {stage} stage has an excess of {first:.0%} over the noise's cost, which no effect explains"
+        if decision.doubted and stage in _doubted_in(investigation, decision):
+            part = f"{decision.doubted} would take {decision.rounds[-1][0].explained:.0%} of it"
+            reason += f"; {part}, but something that is not in the catalogue is more probable"
         return Verdict("unknown", (), (), blind, reason)
     if len(blind) > MOST * len(decision.score.names):
         reason = f"{len(blind)} of {len(decision.score.names)} effects would not show at their usual size"

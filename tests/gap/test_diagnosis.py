@@ -793,6 +793,25 @@ def test_a_name_that_resamples_shake_is_ambiguous_with_what_comes_out_instead(mo
         assert "more is missing, like steering_nonlinearity" in verdict.reason
 
 
+def test_what_was_rather_not_added_is_told_where_nothing_was(monkeypatch):
+    monkeypatch.setattr("racerl.gap.verdict.fitted", lambda *_: 2 * ({"chassis": 2e4},))
+    investigation = SimpleNamespace(shaped=False, chance={"chassis": 0.005})
+    rows = [SimpleNamespace(name="roll_dynamics", explained=0.44, found=SimpleNamespace(vehicle=None))]
+    decision = SimpleNamespace(
+        chosen=[],
+        found=SimpleNamespace(vehicle=None),
+        noise={"chassis": 1e5},
+        score=Score([], np.zeros((0, 0)), np.zeros(0)),
+        doubted="roll_dynamics",
+        rounds=[rows],
+    )
+    for stage, told in (("chassis", True), ("drive", False)):
+        monkeypatch.setattr("racerl.gap.verdict.touched", lambda *_, stage=stage: [stage])
+        verdict = judge(investigation, decision)
+        said = "; roll_dynamics would take 44% of it, but something that is not in the catalogue is more probable"
+        assert verdict.kind == "unknown" and verdict.reason.endswith(said) == told
+
+
 @pytest.mark.parametrize(
     ("left", "doubted", "kind"),
     [
