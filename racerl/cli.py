@@ -640,8 +640,8 @@ def _print_verdict(console: Any, facts: dict[str, Any]) -> None:
         lines.append(f"drive next: {facts['next_manoeuvre']}")
     if gap := facts["gap"]:
         lines.append(
-            f"gap over the noise: {gap['unfitted']:.2f} as configured, {gap['before']:.2f} refitted, "
-            f"{gap['after']:.2f} with the effects found"
+            f"gap over the noise: {gap['unfitted']:.2f} as configured, {gap['before']:.2f} refitted"
+            + (f", {gap['after']:.2f} with the effects found" if facts["effects"] or facts["helped"] else "")
         )
     lines += [said] if (said := unseen(facts)) else []
     lines += [*_log_remarks(facts), *(f"warning: {remark}" for remark in facts["remarks"])]

@@ -169,7 +169,7 @@ class Diagnosis(Reported):
 
     @property
     def hypotheses(self) -> list[Hypothesis]:
-        """What may be hidden, most probable first; "?" is something of no catalogue."""
+        """What may be hidden, most probable first; "?" is something not in the catalogue."""
         return [Hypothesis(tuple(row["names"]), row["probability"]) for row in self.facts["hypotheses"]]
 
     @property

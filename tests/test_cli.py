@@ -15,7 +15,7 @@ import pandas as pd
 import pytest
 
 import racerl
-from racerl.cli import _following, app
+from racerl.cli import _console, _following, _print_verdict, app
 from racerl.completion import TWO_WORDS
 from racerl.config import compose_settings, gather_words
 from racerl.vehicle import compiler
@@ -28,6 +28,18 @@ ROOT = Path(racerl.__file__).parent.parent
 def process(*words, cwd, **environment):
     variables = {**os.environ, "PYTHONPATH": str(ROOT), **environment}
     return subprocess.run([*PROGRAM, *words], cwd=cwd, capture_output=True, text=True, timeout=120, env=variables)
+
+
+@pytest.mark.parametrize("found", ["", "effects", "helped"])
+def test_effects_are_told_of_where_some_were_found(capsys, found):
+    gap = {"unfitted": 2.0, "before": 1.01, "after": 1.005, "explained": 0.0}
+    nothing = dict.fromkeys(("ambiguous_with", "hypotheses", "blind_to", "logs", "remarks", "effects", "helped"), ())
+    said = {"verdict": "unknown", "reason": "…", "residual": None, "next_manoeuvre": ""}
+    effects = {found: [{"name": "yaw_damping", "parameters": {}}]} if found else {}
+    facts = {**nothing, **said, "configured": {"changes": [], "rest": 0.0}, "gap": gap, **effects}
+    _print_verdict(_console(), facts)
+    line = "gap over the noise: 2.00 as configured, 1.01 refitted" + bool(found) * ", 1.00 with the effects found"
+    assert line in capsys.readouterr().out.splitlines()
 
 
 def test_train_evaluate_report(tmp_path, run):

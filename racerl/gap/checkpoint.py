@@ -43,7 +43,7 @@ class Checkpoint:
         about = [config_hash(settings), provenance(), {name: asdict(each) for name, each in evidence.items()}]
         folder = run / FOLDER / _hash(about)
         if (run / FOLDER).is_dir() and any(path != folder for path in (run / FOLDER).iterdir()):
-            log.warning("%s: is of other logs, another racerl or another machine; it is passed over", run / FOLDER)
+            log.warning("%s: belongs to other logs, another racerl or another machine; it is not used", run / FOLDER)
         return cls(folder)
 
     @staticmethod

@@ -308,11 +308,11 @@ def excitations(names: Iterable[str]) -> dict[str, list[str]]:
 
 def _silent(logs: Sequence[Log]) -> dict[str, Any]:
     """Return the verdict on logs that hold no stretch of driving to look at."""
-    seconds = sum(log.seconds for log in logs)
+    fewer = f"{sum(log.seconds for log in logs):.1f} s of log have fewer than {FEWEST} windows of driving"
     return {
         "verdict": "under_excited",
         "configured": {"error": None, "explained": 0.0, "changes": [], "rest": 0.0},
-        "reason": f"{seconds:.1f} s of log hold no {FEWEST} windows of driving with the channels that a stage needs",
+        "reason": f"{fewer} with the channels that a stage needs",
         "effects": [],
         "helped": [],
         "ambiguous_with": [],

@@ -41,11 +41,9 @@ class Nominal:
         """Return what speaks against this being the best fit there is, a line each."""
         lines = []
         if not self.met_twice:
-            lines.append(
-                f"no two of {STARTS} starts of the refit are known to end at the same fit: another may fit better"
-            )
+            lines.append("the starts of the refit did not agree on one fit; a better one may exist")
         if not self.model.fit.converged:
-            lines.append(f"the refit is at no minimum: {self.model.fit.why}; another may fit better")
+            lines.append(f"the refit did not reach a minimum: {self.model.fit.why}; a better fit may exist")
         return lines
 
 

@@ -34,7 +34,7 @@ def opening(facts: Mapping[str, Any]) -> list[str]:
     lines += [_effect(effect) for effect in facts["effects"]]
     if rivals := facts["ambiguous_with"]:
         rather = listed([f"{in_words(name)} ({name.replace('_', ' ')})" for name in rivals], ", or ")
-        lines.append(f"or, which this log cannot tell from that: {rather}")
+        lines.append(f"this log cannot distinguish that from: {rather}")
     if not facts["effects"] and (facts["verdict"] in NOTHING or not lines):
         lines.append(NOTHING.get(facts["verdict"], f"nothing is missing: {facts['reason']}"))
     gap = facts["gap"]
@@ -43,7 +43,8 @@ def opening(facts: Mapping[str, Any]) -> list[str]:
         moves = f"falls from {before}" if gap["after"] < gap["before"] else f"goes from {before}"
         lines.append(f"with that the error {moves} to {after} times the sensors' noise")
         if gap["explained"] < HALF and gap["after"] > LITTLE:
-            lines.append("most of the gap has no name: something else is missing, too, and these may stand in for it")
+            standing = "these effects may be standing in for it"
+            lines.append(f"most of the gap remains unexplained: something else is missing too, and {standing}")
     return [f"{_capital(line)}." for line in lines]
 
 
@@ -51,19 +52,21 @@ def numbers_told(configured: Mapping[str, Any]) -> list[str]:
     """Return a line for every number that was configured wrongly, and one for a refit of all that explains more."""
     lines = [
         f"{row['what']}: {_change(row)} than configured, {row['parameter']} {row['to']:.4g} "
-        f"({row['ci95'][0]:.4g} … {row['ci95'][1]:.4g}) instead of {row['from']:.4g}; that is {row['explained']:.0%} "
-        f"of the gap as configured in the {' and the '.join(PLAIN[stage] for stage in row['stages'])}"
+        f"({row['ci95'][0]:.4g} … {row['ci95'][1]:.4g}) instead of {row['from']:.4g}; this explains "
+        f"{row['explained']:.0%} of the error of the vehicle as configured, "
+        f"in the {' and the '.join(PLAIN[stage] for stage in row['stages'])}"
         for row in configured["changes"]
     ]
     if lines and configured["rest"]:
-        lines.append(f"a refit of all parameters around that, which model.yaml is, takes {configured['rest']:.0%} more")
+        more = f"refitting all parameters around that explains another {configured['rest']:.0%}"
+        lines.append(f"{more}; model.yaml holds this refit")
     return lines
 
 
 def in_short(hypothesis: Mapping[str, Any]) -> str:
     """Return what a hypothesis says is hidden."""
     known = [name.replace("_", " ") for name in hypothesis["names"] if name != "?"]
-    return listed([*known, *(["something of no catalogue"] if "?" in hypothesis["names"] else [])]) or "nothing"
+    return listed([*known, *(["something not in the catalogue"] if "?" in hypothesis["names"] else [])]) or "nothing"
 
 
 def likely(facts: Mapping[str, Any]) -> str:

@@ -70,7 +70,8 @@ def _without_effects(investigation: Investigation, decision: Decision, before: C
         return Verdict("under_excited", (), (), blind, reason)
     reason = "the refitted vehicle reaches the noise"
     if investigation.shaped:
-        reason = f"on a tyre of another shape than its formula's the refitted vehicle is within {FOREIGN:.0%} of it"
+        comes = f"the refitted vehicle comes within {FOREIGN:.0%} of the sensors' noise"
+        reason = f"with a tyre shape that departs from its formula, {comes}"
     return Verdict("none", (), (), blind, reason)
 
 
@@ -88,7 +89,8 @@ def _with_effects(investigation: Investigation, decision: Decision, before: Cost
     share, noise = 1.0 - rest / had, sum(decision.noise[stage] for stage in moved)
     explained = f"{explain} {share:.0%} of the excess"
     if decision.doubted and set(_doubted_in(investigation, decision)) & set(moved):
-        return unknown(f"{explained}; more is missing, like {decision.doubted}, but probably not it")
+        like = f"something else is missing that resembles {decision.doubted} but probably is not {decision.doubted}"
+        return unknown(f"{explained}; {like}")
     elsewhere = [name for name in decision.noise if name not in moved]  # where these effects do not act
     stage, left, _ = open_stage(investigation, decision, before, after, elsewhere)
     if stage:
@@ -99,9 +101,9 @@ def _with_effects(investigation: Investigation, decision: Decision, before: Cost
     if share < CREDIBLE and not foreign and not coarse:
         return Verdict("under_excited", (), (), blind, f"{explain} only {share:.0%} of a small excess")
     if had < REAL * noise:
-        explained += ", which is no larger than the noise is known"
+        explained += ", which is within the uncertainty of the noise level"
     if rivals := _rivals(decision, effects):
-        return Verdict("ambiguous", effects, rivals, blind, f"{explained}; so does {listed(rivals, ' or ')}")
+        return Verdict("ambiguous", effects, tuple(rivals), blind, "; ".join([explained, *rivals.values()]))
     return Verdict("named" if len(effects) == 1 else "multiple", effects, (), blind, explained)
 
 
@@ -110,11 +112,13 @@ def _doubted_in(investigation: Investigation, decision: Decision) -> list[str]:
     return touched(investigation, decision.rounds[-1][0].found.vehicle, [decision.doubted])
 
 
-def _rivals(decision: Decision, effects: Collection[str]) -> tuple[str, ...]:
-    """Return the effects that may stand in the place of one that was found."""
+def _rivals(decision: Decision, effects: Collection[str]) -> dict[str, str]:
+    """Return the effects that may stand in the place of one that was found, and what speaks for each."""
     equal = [row.name for rows in decision.kept.values() for row in equals(rows)]
-    shaky = [row.name for rows in decision.kept.values() for row in _unsettled(rows)]
-    return tuple(dict.fromkeys(name for name in (*equal, *_one_with(decision), *shaky) if name not in effects))
+    told = {name: f"{name} explains it as well" for name in (*equal, *_one_with(decision))}
+    for row in (row for rows in decision.kept.values() for row in _unsettled(rows)):
+        told.setdefault(row.name, f"in {row.leads:.0%} of resamples {row.name} comes first instead")
+    return {name: said for name, said in told.items() if name not in effects}
 
 
 def proved(verdict: Verdict, gap: Mapping[str, float]) -> Verdict:

@@ -162,7 +162,7 @@ def test_a_checkpoint_of_other_logs_or_another_racerl_is_passed_over(steered, tm
     monkeypatch.setattr("racerl.gap.checkpoint.provenance", lambda: {"git_sha": "another"})
     assert Checkpoint.of(tmp_path, steered.settings, evidence).find(key) is None
     assert [record.getMessage() for record in caplog.records] == [
-        f"{tmp_path / FOLDER}: is of other logs, another racerl or another machine; it is passed over"
+        f"{tmp_path / FOLDER}: belongs to other logs, another racerl or another machine; it is not used"
     ] * 2
 
 

@@ -747,7 +747,7 @@ def test_effects_that_are_one_in_a_log_are_rivals(monkeypatch):
             chosen=["steering_offset"], kept=kept, found=found, noise={"chassis": 1e5}, score=score, doubted=""
         )
         verdict = judge(SimpleNamespace(shaped=False), decision)
-        said = "steering_offset explains 100% of the excess" + "; so does steering_sensor_offset" * (
+        said = "steering_offset explains 100% of the excess" + "; steering_sensor_offset explains it as well" * (
             kind == "ambiguous"
         )
         assert verdict.reason == said
@@ -787,10 +787,13 @@ def test_a_name_that_resamples_shake_is_ambiguous_with_what_comes_out_instead(mo
         )
         verdict = judge(SimpleNamespace(shaped=False), decision)
         assert (verdict.kind, verdict.rivals) == (kind, ("camber_thrust",) if kind == "ambiguous" else ())
+        said = "; in 25% of resamples camber_thrust comes first instead"
+        assert verdict.reason.endswith(said) == (kind == "ambiguous")
         decision.doubted = "steering_nonlinearity"  # its form is not right, or something else is missing beside it
         verdict = judge(SimpleNamespace(shaped=False), decision)
         assert (verdict.kind, verdict.effects, verdict.rivals) == ("unknown", ("steering_offset",), ())
-        assert "more is missing, like steering_nonlinearity" in verdict.reason
+        told = "missing that resembles steering_nonlinearity but probably is not steering_nonlinearity"
+        assert told in verdict.reason
 
 
 def test_what_was_rather_not_added_is_told_where_nothing_was(monkeypatch):

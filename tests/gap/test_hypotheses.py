@@ -173,7 +173,7 @@ def test_why_a_runner_up_lost_is_told():
 
 def test_the_likeliest_and_what_would_not_show_are_told_in_a_line():
     rows = [{"names": names, "probability": p} for names, p in ((["?", "b_c"], 0.9), ([], 0.08), (["a"], 0.004))]
-    assert likely({"hypotheses": rows}) == "b c and something of no catalogue 90%; nothing 8%"
+    assert likely({"hypotheses": rows}) == "b c and something not in the catalogue 90%; nothing 8%"
     assert likely({"hypotheses": []}) == "" and in_short(rows[1]) == "nothing"
     assert unseen({"blind_to": []}) == "" and unseen({"blind_to": ["a", "b"]}).endswith("size: a and b")
     assert unseen({"blind_to": list("abcdefg")}).endswith("7 effects (the report has them)")

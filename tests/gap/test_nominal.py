@@ -77,7 +77,7 @@ def test_two_starts_that_end_apart_ask_for_more(stiff, monkeypatch):
 def test_a_refit_that_is_met_once_only_is_doubted(clean, monkeypatch):
     losses = iter(range(1, 1000))
     monkeypatch.setattr(nominal, "loss", lambda *asked: float(next(losses)))
-    assert "no two of 6 starts" in investigate(clean).nominal.doubts()[0]
+    assert "did not agree on one fit" in investigate(clean).nominal.doubts()[0]
 
 
 def test_an_effect_more_never_costs_more(found):

@@ -205,7 +205,7 @@ def test_wrong_numbers_in_words():
     }
     told = numbers_told({"changes": [less, {**less, "to": 1.0, "stages": ["steering", "chassis"]}], "rest": 0.12})
     assert told[0].startswith("grip of the floor: 38% less than configured, friction 0.5 (0.49 … 0.51) instead of 0.8")
-    assert told[0].endswith("98% of the gap as configured in the motion")
+    assert told[0].endswith("98% of the error of the vehicle as configured, in the motion")
     assert "25% more" in told[1] and told[1].endswith("in the steering and the motion")
-    assert "takes 12% more" in told[2] and len(told) == 3
+    assert "explains another 12%" in told[2] and len(told) == 3
     assert numbers_told({"changes": [], "rest": 0.5}) == []

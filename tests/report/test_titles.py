@@ -46,7 +46,7 @@ FALLS = "With that the error falls from 2.20 to 1.00 times the sensors' noise."
             "Your car resists turning; or your tyres need a distance to build up side force",
             [
                 DAMPED_TOLD,
-                "Or, which this log cannot tell from that: "
+                "This log cannot distinguish that from: "
                 "your tyres need a distance to build up side force (tyre relaxation).",
                 FALLS,
             ],
@@ -62,7 +62,7 @@ FALLS = "With that the error falls from 2.20 to 1.00 times the sensors' noise."
             "Grip of the floor: 38% less than configured",
             [
                 "Grip of the floor: 38% less than configured, friction 0.5 (0.49 … 0.51) instead of 0.8; "
-                "that is 98% of the gap as configured in the motion."
+                "this explains 98% of the error of the vehicle as configured, in the motion."
             ],
         ),
     ],
@@ -80,7 +80,7 @@ def test_every_verdict_of_a_gap_is_a_sentence(verdict, effects, rivals, changes,
     assert opening(facts) == ([f"{lines}."] if isinstance(lines, str) else lines)
     assert opening({**facts, "gap": None})  # nothing could be driven
     mostly = {**facts, "gap": {"before": 26.2, "after": 24.3, "explained": 0.13}}
-    assert opening(mostly)[-1].startswith("Most of the gap has no name") == bool(effects)
+    assert opening(mostly)[-1].startswith("Most of the gap remains unexplained") == bool(effects)
 
 
 def test_logs_are_told_by_their_length_and_their_traps():
