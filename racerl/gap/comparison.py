@@ -73,14 +73,9 @@ class CandidateScore:
     leads: float = 1.0  # share of resamples in which it comes first of its round
 
     @property
-    def own(self) -> list[str]:
-        """The effect's own parameters."""
-        return [name for name in self.found.problem.names if name.startswith(f"effects.{self.name}.")]
-
-    @property
     def size(self) -> int:
         """Number of the effect's own parameters."""
-        return len(self.own)
+        return sum(name.startswith(f"effects.{self.name}.") for name in self.found.problem.names)
 
     @property
     def clear(self) -> bool:

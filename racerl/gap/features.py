@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from typing import Any
 
-from racerl.estimation.unknowns import Unknown
 from racerl.gap.comparison import CandidateScore, Judge, Standing, excesses
 from racerl.gap.fitted_model import touched
 
@@ -34,8 +33,6 @@ def features(judge: Judge, standing: Standing, rows: Sequence[CandidateScore]) -
                 "worth": row.worth,
                 "fall": row.fall,
                 "like": row.like,
-                "values": {name: row.found.theta[name] for name in row.own},
-                "at_bound": [u.name for u in row.found.problem.unknowns if u.name in row.own and _at_bound(row, u)],
                 "stages": touched(investigation, row.found.vehicle, [row.name]),
                 "held_out": over_noise(row.cost),
                 "fit": over_noise(row.found.cost),
@@ -43,7 +40,3 @@ def features(judge: Judge, standing: Standing, rows: Sequence[CandidateScore]) -
             for row in rows
         ],
     }
-
-
-def _at_bound(row: CandidateScore, unknown: Unknown) -> bool:
-    return row.found.theta[unknown.name] in (unknown.low, unknown.high)
