@@ -36,7 +36,8 @@ def add(investigation: Investigation, base: FittedModel, name: str, vehicle: Veh
     Where that ends above the fit that it began beside, its other parameters went astray on a share of the windows: the
     effect starts again beside those of that fit.
     """
-    effects, stages = base.effects | {name}, touched(investigation, vehicle, base.effects | {name})
+    effects = base.effects | {name}
+    stages = touched(investigation, vehicle, effects)
     found = fit_model(investigation, effects, vehicle, base, FIRST, stages=stages)
     if sum(part.sum() for part in found.cost.values()) <= sum(investigation.cost(base, each).sum() for each in stages):
         return found

@@ -30,13 +30,8 @@ RESULT = "close.json"
 MEASURES = ("mean_lap_s", "e_off", "crash_share")  # less is better
 RESAMPLES, TAIL = 4000, 2.5  # of the bootstrap; its tails in percent
 SHOWN = (*MEASURES, "fastest_valid_lap_s", "laps", "valid_laps")
-ONWARD = (
-    "budget",
-    "device",
-    "threads",
-    "vehicle",
-    "seed",
-)  # words for training that the refinement of a policy follows, too
+# words for training that the refinement of a policy follows, too
+ONWARD = ("budget", "device", "threads", "vehicle", "seed")
 
 
 def close(
