@@ -2,15 +2,30 @@
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import norm, t
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 FAR = 1_000_000_000  # rows, more than any run has
+CLEAR = 3.0  # standard errors by which a total must differ from zero
 
 
 def stretches(run: Index, start: Index, rows: int) -> Index:
     """Return the block of every window (W,), from its run and its first row there: stretches of so many rows."""
     return np.unique(run * FAR + start // rows, return_inverse=True)[1]
+
+
+def standard_error(sums: Array, outer: int) -> float:
+    """Return the standard error of a total of blocks (B,) of which the `outer` on each side were winsorised.
+
+    By Dixon and Tukey (1968), s √B (B − 1)/(h − 1) with h = B − 2 outer, and widened by what Student's law with h − 1
+    degrees of freedom has more than the normal one at CLEAR of them. Infinite where h is below 2.
+    """
+    count, free = len(sums), len(sums) - 2 * outer - 1
+    if free < 1:
+        return np.inf
+    wider = t.ppf(norm.cdf(CLEAR), free) / CLEAR
+    return float(np.std(sums, ddof=1) * np.sqrt(count) * (count - 1) / free * wider)
 
 
 def counts(blocks: int, draws: int, generator: np.random.Generator) -> Array:

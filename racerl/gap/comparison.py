@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from racerl.estimation.blocks import counts, resampled
+from racerl.estimation.blocks import CLEAR, counts, resampled, standard_error
 from racerl.gap.cross_validation import held_out
 from racerl.gap.fitted_model import FittedModel, touched
 from racerl.gap.folds import blocks
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 Loss = Callable[[str, Array], Array]
 RESAMPLES = 2000
 OUTER = 0.02  # share of the blocks on each side that count no more than their neighbours
-CLEAR = 3.0  # standard errors by which a gain must differ from zero
+FEW = 8  # blocks, below which each counts as it is
 STAYS = 2.0  # the same, of an effect found before others: it goes at less than it came in with, or chance decides
 SURE = 5.0  # the same, where the excess is no larger than the noise is known
 SAME = 2.0  # standard errors within which candidates explain alike
@@ -134,9 +134,13 @@ def wild(investigation: Investigation, stage: str, cost: Array | None = None) ->
 
 def _winsorised(sums: Array) -> Array:
     """Return values with the outermost on each side moved to their neighbours."""
-    ordered = np.sort(sums)
-    outer = max(1, round(OUTER * len(sums)))
-    return np.clip(sums, ordered[outer], ordered[-1 - outer]) if len(sums) > 2 * outer + 1 else sums
+    ordered, outer = np.sort(sums), _outer(len(sums))
+    return np.clip(sums, ordered[outer], ordered[-1 - outer])
+
+
+def _outer(count: int) -> int:
+    """Return how many of so many blocks count no more than their neighbours, on each side; of few none."""
+    return max(1, round(OUTER * count)) if count >= FEW else 0
 
 
 def close(row: CandidateScore, best: CandidateScore) -> bool:
@@ -252,8 +256,7 @@ class Judge:
     def gain(self, before: Mapping[str, Array], after: Mapping[str, Array]) -> tuple[float, float]:
         """Return the fall of the loss over the stages in both, and its standard error over blocks of windows."""
         sums = self._blocks(before, after)
-        total = float(sums.sum())
-        return total, float(np.sqrt(((sums - total / max(len(sums), 1)) ** 2).sum()))
+        return float(sums.sum()), standard_error(sums, _outer(len(sums)))
 
     def chance(self, before: Mapping[str, Array], after: Mapping[str, Array]) -> float:
         """Return the share of block-bootstrap resamples in which the loss does not fall."""
@@ -263,12 +266,11 @@ class Judge:
 
     def _blocks(self, before: Mapping[str, Array], after: Mapping[str, Array], loss: Loss | None = None) -> Array:
         """Return the fall of a loss by block, (B,), winsorised: no block decides alone."""
-        parts, loss = [], loss or self.loss
-        for stage in after:
-            if stage in before:
-                fall = loss(stage, before[stage]) - loss(stage, after[stage])
-                parts.append(_winsorised(np.bincount(blocks(self.investigation.evidence[stage]), fall).astype(float)))
-        return np.concatenate(parts)
+        loss, stages = loss or self.loss, [stage for stage in after if stage in before]
+        number = blocks({stage: self.investigation.evidence[stage] for stage in stages})
+        falls = [loss(stage, before[stage]) - loss(stage, after[stage]) for stage in stages]
+        sums = np.bincount(np.concatenate(list(number.values())), np.concatenate(falls))
+        return _winsorised(sums.astype(float))
 
     def loss(self, stage: str, cost: Array) -> Array:
         """Return n log(1 + cost/n), n the cost of a usual window: one that no fit foresaw does not decide alone.

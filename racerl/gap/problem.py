@@ -235,6 +235,8 @@ class Problem:
     def covariance(self, fit: Fit, blocks: Sequence[NDArray[np.int64]]) -> Array:
         """Return the covariance of θ (N, N), robust against errors that are alike within blocks of windows.
 
+        `blocks` (W,) per stage, numbered alike in all of them.
+
         Σ_b Δ_b Δ_bᵀ + A⁻¹ M A⁻¹ with A = H + λ/s². Δ_b = (A − H_b)⁻¹ (g_b − ḡ) is how far θ moves without block b (the
         jackknife: where few blocks tell of a parameter, the fit follows them, and their gradients come out small).
         M = max(1, d²) λ²/s² is what a prior draws by: its mean is as unsure as s says, or as far as the fit has gone
@@ -245,18 +247,14 @@ class Problem:
         stiffness = H + np.diag(self.scale**-2.0)
         sigma = np.array([unknown.sigma for unknown in self.unknowns])
         drawn = np.linalg.inv(stiffness) * unsure((self._vector(fit) - self.mean) / sigma) * sigma / self.scale**2
-        covariance: Array = drawn @ drawn.T
+        count, size = 1 + max(int(block.max()) for block in blocks), len(stiffness)
+        curvature, gradient = np.zeros((count, size, size)), np.zeros((count, size))
         for stage, (part, slope), block in zip(self.stages, reduced, blocks, strict=True):
-            place = self.places(stage)
-            if not place:
-                continue
-            sums = np.stack([np.bincount(block, column) for column in slope.T], axis=1)  # (B, N)
-            for number, gradient in enumerate(sums - sums.mean(axis=0)):
-                others, whole = stiffness.copy(), np.zeros(len(stiffness))
-                others[np.ix_(place, place)] -= part[block == number].sum(axis=0)
-                whole[place] = gradient
-                moved = np.linalg.solve(others, whole)
-                covariance += np.outer(moved, moved)
+            place = np.array(self.places(stage), int)
+            np.add.at(curvature, (block[:, None, None], *np.ix_(place, place)), part)
+            np.add.at(gradient, (block[:, None], place), slope)
+        moved = np.linalg.solve(stiffness - curvature, (gradient - gradient.mean(axis=0))[:, :, None])[:, :, 0]
+        covariance: Array = drawn @ drawn.T + moved.T @ moved
         return covariance
 
 

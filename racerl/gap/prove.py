@@ -170,8 +170,9 @@ def _interval(
 ) -> list[float]:
     """Return the 95 % interval of what is explained, over blocks of windows."""
     generator = np.random.default_rng(investigation.seed)
+    number = np.concatenate(list(blocks({name: investigation.evidence[name] for name in before}).values()))
     sums = [
-        np.concatenate([np.bincount(blocks(investigation.evidence[name]), part[name] * tame[name]) for name in before])
+        np.bincount(number, np.concatenate([part[name] * tame[name] for name in before]))
         for part in (before, after, floor)
     ]
     b, a, f = resampled(np.stack(sums, axis=1), RESAMPLES, generator).T
@@ -206,7 +207,7 @@ def _by_horizon(
     generator = np.random.default_rng(investigation.seed)
     rows = []
     for name, evidence in investigation.evidence.items():
-        block = np.unique(blocks(evidence)[tame[name]], return_inverse=True)[1]
+        block = np.unique(blocks({name: evidence})[name][tame[name]], return_inverse=True)[1]
         for c, channel in enumerate(evidence.observed):
             for h in (h for h in HORIZONS if h < len(before[name])):
                 sums = [np.bincount(block, part[name][h, c] ** 2).astype(float) for part in (before, after)]

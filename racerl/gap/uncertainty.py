@@ -40,7 +40,8 @@ def deviations(investigation: Investigation, found: FittedModel) -> dict[str, fl
 
 
 def _covariance(investigation: Investigation, found: FittedModel) -> Array:
-    return found.problem.covariance(found.fit, [blocks(investigation.evidence[name]) for name in found.cost])
+    number = blocks({name: investigation.evidence[name] for name in found.cost})
+    return found.problem.covariance(found.fit, list(number.values()))
 
 
 def possible_cars(investigation: Investigation, found: FittedModel, seed: int) -> Array:
