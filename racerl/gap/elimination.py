@@ -17,7 +17,6 @@ from racerl.gap.decision import Decision, carried, changed, passes_less_noise
 from racerl.gap.evidence import Evidence
 from racerl.gap.features import features
 from racerl.gap.fitted_model import FittedModel
-from racerl.gap.investigation import Investigation
 from racerl.gap.progress import OnProgress, silent
 from racerl.gap.uncertainty import intervals
 from racerl.vehicle import catalogue
@@ -79,9 +78,7 @@ def settled(judge: Judge, decision: Decision) -> Decision:
             name for name in decision.chosen if _idle(name, ranges) or _nowhere(name, ranges, investigation.evidence)
         ]
         if not idle:
-            kept = {
-                name: [rows[0], *_somewhere(investigation, decision, rows[1:])] for name, rows in decision.kept.items()
-            }
+            kept = {name: _somewhere(judge, decision, rows) for name, rows in decision.kept.items()}
             return replace(decision, found=found, kept=kept, features=_as_kept(decision.features, kept))
         decision = _without(judge, decision, idle[0], without(investigation, found, idle[0]))
 
@@ -139,17 +136,23 @@ def _sound(judge: Judge, lacking: Decision, rivals: Sequence[CandidateScore]) ->
     return [rival for rival in rivals if rival.stays and not passes_less_noise(judge, lacking, rival, STAYS)]
 
 
-def _somewhere(
-    investigation: Investigation, decision: Decision, rivals: Sequence[CandidateScore]
-) -> list[CandidateScore]:
-    """Return the rivals that, where they have a place, have it on the floor: no other could be named."""
-    own = {row.name: row.found for rows in decision.rounds for row in rows}
-    return [
-        rival
-        for rival in rivals
-        if not placed(rival.name)
-        or not _nowhere(rival.name, intervals(investigation, own[rival.name]), investigation.evidence)
-    ]
+def _somewhere(judge: Judge, decision: Decision, rows: Sequence[CandidateScore]) -> list[CandidateScore]:
+    """Return an effect and those rivals that, where they have a place, have it on the floor: no other could be named.
+
+    Resamples in which another rival came first count no more.
+    """
+    investigation, own = judge.investigation, {row.name: row.found for found in decision.rounds for row in found}
+
+    def far_away(rival: CandidateScore) -> bool:
+        name = rival.name
+        return placed(name) and _nowhere(name, intervals(investigation, own[name]), investigation.evidence)
+
+    gone = [rival for rival in rows[1:] if far_away(rival)]
+    left = 1.0 - sum(row.leads for row in gone if not judge.one(rows[0], row))
+    kept = [row for row in rows if row not in gone]
+    if left <= 0.0:  # none of these ever came first
+        return [replace(row, leads=float(row is rows[0])) for row in kept]
+    return [replace(row, leads=min(row.leads / left, 1.0)) for row in kept]
 
 
 def _idle(name: str, ranges: Mapping[str, tuple[float, float, float]]) -> bool:

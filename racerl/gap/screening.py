@@ -19,7 +19,7 @@ from racerl.gap.fitted_model import COG, FittedModel, begun, fit_model, touched,
 from racerl.gap.growth import places
 from racerl.gap.investigation import Investigation
 from racerl.gap.normal_equations import usual_cost
-from racerl.gap.score import FELT, REMAINDER, Score, score
+from racerl.gap.score import FELT, REMAINDER, SHOWS, Score, score
 from racerl.gap.stage import TYRES
 from racerl.gap.stage_problem import StageProblem
 from racerl.vehicle.effects import Effect
@@ -30,7 +30,6 @@ Array = NDArray[np.float64]
 STEPS = 5  # of a fit on a share of the windows: fewer may lead from a usual size to nothing better yet
 ASTRAY = 1.3  # times the noise's cost, beyond which a fit says little of the parameters
 LOST = 5.0  # times the noise's cost, beyond which a fit says nothing of what is missing
-HOPELESS = 30.0  # first-order gain, a χ², below which no effect is worth a fit
 PLACES, REACH = 2, 1.5  # of an effect that lies somewhere: places that fits start from, and their size in m
 SHORTLIST, CONTINUED = 8, 4  # candidates of each stage that are screened, and fitted to the end
 FAINT = 0.15  # of the most gain in screening, below which a candidate is given up
@@ -74,7 +73,7 @@ def shortlist(ahead: Mapping[str, Score], astray: Collection[str]) -> list[str]:
     """
     names: list[str] = []
     for stage, part in ahead.items():
-        least = 0.0 if stage in astray else HOPELESS
+        least = 0.0 if stage in astray else SHOWS
         gains = {name: gain for name, gain in part.gains().items() if gain > least}
         names += sorted(gains, key=lambda name: -gains[name])[: None if stage in astray else SHORTLIST]
         if stage == "chassis" and gains:  # the score knows one place only
@@ -91,7 +90,7 @@ def hopeful(tried: Sequence[Screened], ahead: Score, stage: str) -> list[Screene
     mine.sort(key=lambda each: -each.gain)
     found = [each for each in mine[:CONTINUED] if each.gain > FAINT * mine[0].gain]
     gains = ahead.gains()
-    most = max([HOPELESS, *gains.values()])
+    most = max([SHOWS, *gains.values()])
     foretold = [each for each in tried if gains.get(each.name, 0.0) > FORETOLD * most]
     foretold.sort(key=lambda each: -gains[each.name])
     return [*found, *foretold[:FIRST]]

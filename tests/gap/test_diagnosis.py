@@ -671,7 +671,7 @@ def test_what_a_foreign_tyre_leaves_is_no_effects():
 
 def test_a_name_is_as_stable_as_resamples_of_the_runs_leave_it(monkeypatch):
     """One candidate helps everywhere by 50, another in every second run by more: by how much more decides."""
-    monkeypatch.setattr("racerl.gap.comparison.blocks", lambda evidence: np.arange(40))
+    monkeypatch.setattr("racerl.gap.comparison.blocks", lambda evidence: {"chassis": np.arange(40)})
     evidence, base = {"chassis": SimpleNamespace(numbers=85)}, SimpleNamespace(cost={"chassis": np.full(40, 85.0)})
     judge = Judge(SimpleNamespace(evidence=evidence, base=base, seed=0), {}, Score([], np.zeros((0, 0)), np.zeros(0)))
     before = {"chassis": np.full(40, 200.0)}
@@ -854,9 +854,10 @@ def test_a_rival_takes_the_place_of_an_effect_that_is_nowhere(monkeypatch, neede
         effects = dict.fromkeys(names)
         return SimpleNamespace(names=set(names), vehicle=SimpleNamespace(effects=effects), cost={"chassis": 0.5})
 
-    def row(name, needed=True, effect=None):
-        facts = {"needed": needed, "stays": needed, "explained": 0.9, "behind": 4.0}
-        return SimpleNamespace(name=name, found=fit(effect or name), cost={}, **facts)
+    def row(name, needed=True, effect=None, leads=1.0):
+        facts = {"name": name, "found": fit(effect or name), "cost": {}, "needed": needed, "stays": needed}
+        facts |= {"explained": 0.9, "behind": 4.0, "leads": leads}
+        return dataclasses.make_dataclass("Row", facts)(**facts)
 
     def instead(judge, lacking, rival):
         assert rival.name in rival.found.vehicle.effects  # where its fit starts
@@ -875,7 +876,9 @@ def test_a_rival_takes_the_place_of_an_effect_that_is_nowhere(monkeypatch, neede
     monkeypatch.setattr(elimination, "features", told)
     monkeypatch.setattr(elimination, "passes_less_noise", lambda *_: False)
     investigation = SimpleNamespace(workers=Workers(), floor={"chassis": 0.0}, seed=0, evidence={})
-    judge = SimpleNamespace(investigation=investigation, ranked=lambda rows, cost: list(rows))
+    judge = SimpleNamespace(
+        investigation=investigation, ranked=lambda rows, cost: list(rows), one=lambda row, other: False
+    )
     # one with the bowl in this log, it has come to stand beside with the bowl's fit
     kept = {"road_bank": [row("road_bank"), row("road_slope", needed, "road_bank")]}
     rounds = [[row("road_bank"), row("road_slope", needed)]]
@@ -885,9 +888,13 @@ def test_a_rival_takes_the_place_of_an_effect_that_is_nowhere(monkeypatch, neede
     begun = Decision(found, found.cost, {"chassis": 0.0}, None, kept, None, rounds=rounds, features=seen)
     decision = settled(judge, begun)
     if not needed:  # nor does it stand beside one that stays
-        kept = {"aero_drag": [row("aero_drag"), row("road_bank"), row("road_slope")]}
-        beside = dataclasses.replace(begun, kept=kept, rounds=[kept["aero_drag"]])
-        assert [each.name for each in settled(judge, beside).kept["aero_drag"]] == ["aero_drag", "road_slope"]
+        three = [row("aero_drag", leads=0.6), row("road_bank", leads=0.25), row("road_slope", leads=0.15)]
+        beside = dataclasses.replace(begun, kept={"aero_drag": three}, rounds=[three])
+        left = settled(judge, beside).kept["aero_drag"]
+        assert [each.name for each in left] == ["aero_drag", "road_slope"]
+        assert [each.leads for each in left] == pytest.approx([0.8, 0.2])  # of resamples that the bowl did not lead
+        judge.one = lambda row, other: "bank" in other.name  # then the effect has those resamples as well
+        assert [each.leads for each in settled(judge, beside).kept["aero_drag"]] == [0.6, 0.15]
     assert decision.chosen == chosen and decision.found.names == set(chosen)
     exchanged = dataclasses.replace(begun, features=seen[1:])  # it came in the place of another
     assert settled(judge, exchanged).features == seen[1:]
