@@ -81,8 +81,13 @@ def sound(errors: Array) -> NDArray[np.bool_]:
 
 
 def horizons(errors: Array) -> dict[str, list[float]]:
-    """Return the RMS error (C,) so many samples into the windows, from errors (T + 1, C, W)."""
+    """Return the RMS error (C,) so many samples into the windows, from errors (T + 1, C, W).
+
+    Nothing where the rollout blew up in all of them.
+    """
     errors = errors[:, :, sound(errors)]
+    if errors.size == 0:
+        return {}
     return {str(h): np.sqrt((errors[h] ** 2).mean(axis=1)).tolist() for h in HORIZONS if h < len(errors)}
 
 
@@ -92,6 +97,8 @@ def maps(investigation: Investigation, errors: Mapping[str, Array]) -> list[dict
     car = investigation.base.vehicle
     for name, part in errors.items():
         whole, kept = investigation.evidence[name], sound(part)
+        if not kept.any():
+            continue
         evidence = replace(whole, start=whole.start[kept], run=whole.run[kept])
         power = growth(part[:, :, kept], investigation.noise[name])
         for key, condition in conditions(evidence, float(car.arm), float(car.l_r)).items():

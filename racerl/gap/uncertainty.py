@@ -18,7 +18,7 @@ from racerl.vehicle.vehicle import Vehicle
 Array = NDArray[np.float64]
 FAR = 2.0  # prior deviations, beyond which a refitted parameter is a clue in itself
 FORM = 0.05  # deviation, as a share, between the parameters of an effect's forms where it has many (development logs)
-EXACT = 0.01  # the same, where it has one
+EXACT = 0.01  # the same, where it has one; and of the vehicle's numbers (0.2 ms between samples are 1 % of a stiffness)
 TIMING = 0.1  # the same of a dead time, in samples: when within one a command acts is every logger's own affair
 
 
@@ -58,7 +58,8 @@ def possible_cars(investigation: Investigation, found: FittedModel, seed: int) -
 def intervals(investigation: Investigation, found: FittedModel) -> dict[str, tuple[float, float, float]]:
     """Return each fitted parameter's value and 95 % interval, inside the physical bounds.
 
-    An effect's parameters are known no better than its form is: the car's effect may have another.
+    An effect's parameters are known no better than its form is: the car's effect may have another. Nor are the
+    vehicle's numbers: between samples inputs are taken as straight, where an actuator that follows a command bends.
     """
     bounds = {unknown.name: (unknown.low, unknown.high) for unknown in found.problem.unknowns}
     ranges, dt = {}, _sample(investigation)
@@ -76,11 +77,14 @@ def _sample(investigation: Investigation) -> float:
 def _form(vehicle: Vehicle, parameter: str, value: float, dt: float) -> float:
     """Return the deviation between a parameter of an effect's likely forms, by its distance from no effect.
 
-    That of a place is in the effect's own length, that of a dead time in samples of `dt` seconds.
+    That of a place is in the effect's own length, that of a dead time in samples of `dt` seconds, that of a number of
+    the vehicle a share of it.
     """
+    if not parameter.startswith("effects."):
+        return EXACT * abs(value)
     name, _, key = parameter.removeprefix("effects.").rpartition(".")
-    effect = vehicle.effects.get(name)
-    if effect is None or not effect.physical:
+    effect = vehicle.effects[name]
+    if not effect.physical:
         return 0.0
     first, zero = neutral(name)
     size = value - zero if key == first else value

@@ -498,6 +498,14 @@ def test_an_effect_is_known_no_better_than_its_form(name, values, key, deviation
     assert 0.5 * (high - low) == pytest.approx(1.96 * deviation) and 0.5 * (low + high) == pytest.approx(value)
 
 
+def test_nor_is_a_number_of_the_vehicle_known_to_any_digit(monkeypatch):
+    unknowns = [Unknown("yaw_inertia", 0.14, 1.0, 0.0, 1.0)]
+    found = SimpleNamespace(vehicle=make_car(), theta={"yaw_inertia": 0.14}, problem=SimpleNamespace(unknowns=unknowns))
+    monkeypatch.setattr("racerl.gap.uncertainty.deviations", lambda *_: {"yaw_inertia": 0.001})
+    _, low, high = intervals(SimpleNamespace(evidence={"chassis": SimpleNamespace(dt=0.01)}), found)["yaw_inertia"]
+    assert 0.5 * (high - low) == pytest.approx(1.96 * np.hypot(0.001, EXACT * 0.14))
+
+
 @pytest.mark.parametrize(
     ("noise", "cost", "less"),
     [

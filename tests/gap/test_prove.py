@@ -90,3 +90,5 @@ def test_maps_and_horizons_leave_out_rollouts_that_blew_up(clean):
     json.dumps(told, allow_nan=False)
     assert len(told[0]) > 20 and np.mean([row["p"] for row in told[0]]) > 0.3
     assert told[1]["20"] == pytest.approx([1.0] * 3, abs=0.3)
+    errors[-1] = np.nan  # in every window: there is nothing to tell
+    assert (maps(known, {"chassis": errors}), horizons(errors)) == ([], {})
