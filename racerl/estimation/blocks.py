@@ -34,6 +34,16 @@ def counts(blocks: int, draws: int, generator: np.random.Generator) -> Array:
     return np.stack([np.bincount(row, minlength=blocks) for row in drawn]).astype(float)
 
 
+def nested_counts(group: Index, draws: int, generator: np.random.Generator) -> Array:
+    """Return the same, (draws, B), where blocks (B,) belong to groups: these are drawn first, then their own blocks."""
+    members = [np.flatnonzero(group == each) for each in np.unique(group)]
+    times = generator.multinomial(len(members), np.full(len(members), 1.0 / len(members)), size=draws)
+    drawn = np.zeros((draws, len(group)))
+    for own, often in zip(members, times.T, strict=True):
+        drawn[:, own] = generator.multinomial(often * len(own), np.full(len(own), 1.0 / len(own)))
+    return drawn
+
+
 def resampled(sums: Array, draws: int, generator: np.random.Generator) -> Array:
     """Return the totals (draws, …) of as many blocks, drawn with replacement, as there are; `sums` (B, …)."""
     return np.asarray(counts(len(sums), draws, generator) @ sums)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from racerl.estimation.blocks import CLEAR, counts, resampled, standard_error
+from racerl.estimation.blocks import CLEAR, nested_counts, standard_error
 from racerl.gap.cross_validation import held_out
 from racerl.gap.fitted_model import FittedModel, touched
 from racerl.gap.folds import blocks
@@ -214,10 +214,10 @@ class Judge:
         return [replace(row, leads=share) for row, share in zip(rows, self._leads(rows, before), strict=True)]
 
     def _leads(self, rows: Sequence[CandidateScore], before: Mapping[str, Array]) -> list[float]:
-        """Return the share of resamples of the blocks in which each candidate gains and comes first, as in `ranked`."""
+        """Return the share of resamples of the runs in which each candidate gains and comes first, as in `ranked`."""
         if not rows:
             return []
-        index = counts(len(self._blocks(before, before)), RESAMPLES, np.random.default_rng(self.investigation.seed))
+        index = self._resamples(before)
         gains, falls = (
             index @ np.stack([self._blocks(before, {**before, **row.cost}, loss) for row in rows], axis=1)
             for loss in (self.loss, self._clipped)
@@ -259,10 +259,19 @@ class Judge:
         return float(sums.sum()), standard_error(sums, _outer(len(sums)))
 
     def chance(self, before: Mapping[str, Array], after: Mapping[str, Array]) -> float:
-        """Return the share of block-bootstrap resamples in which the loss does not fall."""
-        sums = self._blocks(before, after)
-        generator = np.random.default_rng(self.investigation.seed)
-        return float((resampled(sums, RESAMPLES, generator) <= 0.0).mean())
+        """Return the share of resamples of the runs in which the loss does not fall."""
+        stages = {stage: part for stage, part in after.items() if stage in before}
+        return float((self._resamples(stages) @ self._blocks(before, stages) <= 0.0).mean())
+
+    def _resamples(self, stages: Iterable[str]) -> Array:
+        """Return how often each block of some stages is drawn, (RESAMPLES, B): of runs, and of stretches in these."""
+        evidence = {stage: self.investigation.evidence[stage] for stage in stages}
+        number, run = (
+            np.concatenate(list(blocks(evidence).values())),
+            np.concatenate([e.run for e in evidence.values()]),
+        )
+        first = np.unique(number, return_index=True)[1]
+        return nested_counts(run[first], RESAMPLES, np.random.default_rng(self.investigation.seed))
 
     def _blocks(self, before: Mapping[str, Array], after: Mapping[str, Array], loss: Loss | None = None) -> Array:
         """Return the fall of a loss by block, (B,), winsorised: no block decides alone."""

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from racerl.estimation.blocks import CLEAR, counts, resampled, standard_error, stretches
+from racerl.estimation.blocks import CLEAR, counts, nested_counts, resampled, standard_error, stretches
 from racerl.estimation.windows import window_starts
 
 
@@ -24,6 +24,25 @@ def test_neighbours_of_one_run_are_one_block():
 def test_a_bootstrap_draws_as_many_blocks_as_there_are():
     drawn = counts(7, 50, np.random.default_rng(0))
     assert drawn.shape == (50, 7) and (drawn.sum(axis=1) == 7).all() and drawn.min() == 0 and drawn.max() > 1
+
+
+def test_runs_are_drawn_first_then_their_stretches():
+    group = np.array([3, 3, 3, 5, 5, 8])
+    drawn = nested_counts(group, 4000, np.random.default_rng(0))
+    by_run = np.stack([drawn[:, group == each].sum(axis=1) / (group == each).sum() for each in (3, 5, 8)], axis=1)
+    assert (by_run == by_run.round()).all() and (by_run.sum(axis=1) == 3).all()
+    assert drawn.mean(axis=0) == pytest.approx(np.ones(6), abs=0.05)
+    # three draws of three runs leave one out in (2/3)³; its blocks differ among each other as well
+    assert (by_run == 0).mean() == pytest.approx(8 / 27, abs=0.02) and (drawn[:, 0] != drawn[:, 1]).mean() > 0.3
+
+
+def test_of_a_single_run_stretches_are_drawn():
+    alone, plain = (draw(9, 4000, np.random.default_rng(seed)) for draw, seed in ((_in_one_run, 1), (counts, 2)))
+    assert (alone.sum(axis=1) == 9).all() and alone.var(axis=0) == pytest.approx(plain.var(axis=0), rel=0.15)
+
+
+def _in_one_run(count, draws, generator):
+    return nested_counts(np.zeros(count, dtype=int), draws, generator)
 
 
 def test_the_spread_of_resampled_sums_is_the_standard_error():

@@ -680,7 +680,10 @@ def test_what_a_foreign_tyre_leaves_is_no_effects():
 def test_a_name_is_as_stable_as_resamples_of_the_runs_leave_it(monkeypatch):
     """One candidate helps everywhere by 50, another in every second run by more: by how much more decides."""
     monkeypatch.setattr("racerl.gap.comparison.blocks", lambda evidence: {"chassis": np.arange(40)})
-    evidence, base = {"chassis": SimpleNamespace(numbers=85)}, SimpleNamespace(cost={"chassis": np.full(40, 85.0)})
+    evidence, base = (
+        {"chassis": SimpleNamespace(numbers=85, run=np.zeros(40))},
+        SimpleNamespace(cost={"chassis": np.full(40, 85.0)}),
+    )
     judge = Judge(SimpleNamespace(evidence=evidence, base=base, seed=0), {}, Score([], np.zeros((0, 0)), np.zeros(0)))
     before = {"chassis": np.full(40, 200.0)}
 
