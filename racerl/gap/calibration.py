@@ -27,6 +27,7 @@ from racerl.gap.hypotheses import (
 Array = NDArray[np.float64]
 WIDE = 3.0  # deviation of the weights' priors
 BINS = 5  # of probabilities
+DRAWS = 2000  # of what was hidden, by the probabilities told
 
 
 class Case(NamedTuple):
@@ -42,7 +43,8 @@ class Check(NamedTuple):
 
     `covered`: share of cases whose truth is in the set of hypotheses; `size`: how many it has in the mean; `first`:
     share whose truth is the most probable; `error`: mean difference between the first's probability and how often it is
-    right, over bins of probability, weighted by their cases; `one_…`: of the cases with one effect alone.
+    right, over bins of probability, weighted by their cases; `chance`: the mean of that over draws in which the same
+    probabilities are right; `one_…`: of the cases with one effect alone.
     """
 
     cases: int
@@ -50,6 +52,7 @@ class Check(NamedTuple):
     size: float
     first: float
     error: float
+    chance: float
     one_cases: int
     one_covered: float | None
     one_size: float | None
@@ -130,11 +133,18 @@ def compared(told: Sequence[Sequence[Hypothesis]], truths: Sequence[tuple[str, .
     covered = np.array([truth in [each.names for each in among] for among, truth in zip(sets, truths, strict=True)])
     first = np.array([each[0].names == truth for each, truth in zip(told, truths, strict=True)], float)
     p = np.array([each[0].probability for each in told])
-    bins = np.minimum((p * BINS).astype(int), BINS - 1)
-    away = float(np.abs(np.bincount(bins, first - p, BINS)).sum() / len(p))
+    drawn = np.random.default_rng(0).random((DRAWS, len(p))) < p
     size, one = np.array([len(among) for among in sets]), np.array([_is_one(truth) for truth in truths])
     ones = (float(each[one].mean()) if one.any() else None for each in (covered, size))
-    return Check(len(p), float(covered.mean()), float(size.mean()), float(first.mean()), away, int(one.sum()), *ones)
+    chance = float(np.mean([_away(p, each) for each in drawn]))
+    means = float(covered.mean()), float(size.mean()), float(first.mean())
+    return Check(len(p), *means, _away(p, first), chance, int(one.sum()), *ones)
+
+
+def _away(p: Array, right: Array) -> float:
+    """Return by how much probabilities differ from how often they are right, over bins, weighted by their cases."""
+    bins = np.minimum((p * BINS).astype(int), BINS - 1)
+    return float(np.abs(np.bincount(bins, right - p, BINS)).sum() / len(p))
 
 
 def truth_of(case: Case) -> tuple[str, ...]:

@@ -128,9 +128,10 @@ def test_groups_are_judged_by_rules_of_others():
     _, found = checked(drawn(true, 300, seed=0), ["one", "two", "three"] * 100)
     assert found.cases == 300 and 0.9 < found.covered <= 1.0 and found.error < 0.06
     assert 1.0 <= found.size <= 4.0 and found.first > 0.5
+    assert 0.02 < found.chance < 0.05 and found.error < 2.0 * found.chance  # no further off than right ones would be
     lost = [Case(case.hidden, not case.unlisted, case.rounds) for case in drawn(true, 60, seed=1)]
     _, mixed = checked([*drawn(true, 60, seed=0), *lost], ["right"] * 60 + ["wrong"] * 60)
-    assert mixed.covered < 0.6  # what no other group had shown
+    assert mixed.covered < 0.6 and mixed.error > 3.0 * mixed.chance  # what no other group had shown
 
 
 def test_rounds_behind_a_wrong_addition_teach_nothing():
