@@ -17,7 +17,7 @@ from racerl import bounds
 from racerl.control.policy import improved_by
 from racerl.data.load import load_given
 from racerl.documents import read_json, write_json
-from racerl.errors import ConfigError
+from racerl.errors import ConfigError, VehicleError
 from racerl.evaluate.evaluate import evaluate, seeds_of
 from racerl.evaluate.outcome import METRICS
 from racerl.gap.diagnose import MODEL, MODEL_BEFORE, VERDICT, gap
@@ -49,8 +49,7 @@ def close(
     diagnosis = compose("gap", [f"logs={logs}", f"threads={settings['threads']}", *map(str, settings["gap"])])
     words, trainings, race = _words(settings), _trainings(settings), _race(settings)
     # what cannot be read is told before anything is written
-    training = compose("train", [f"vehicle={settings['real']}", *words])
-    load_vehicle(training["vehicle"])
+    training = _training(settings["real"], words, compose)
     improvement_of(training)
     if finished:
         _verdict(Path(logs[0]))
@@ -114,6 +113,21 @@ def means(trainings: Sequence[Mapping[str, Any]]) -> dict[str, float | None]:
     """Return the mean of every measure over trainings; None where one has no lap to take it from."""
     columns = {measure: [row[measure] for row in trainings] for measure in MEASURES}
     return {measure: None if None in column else fmean(column) for measure, column in columns.items()}
+
+
+def _training(real: str, words: Sequence[str], compose: Compose) -> dict[str, Any]:
+    """Return the settings of a training on the car itself; errors in it are told of `real`, as it was given."""
+    try:
+        training = compose("train", [f"vehicle={real}", *words])
+        load_vehicle(training["vehicle"])
+    except (ConfigError, VehicleError) as error:
+        told = str(error)
+        if told.startswith(f"vehicle = {real}:"):
+            told = "real" + told.removeprefix("vehicle")
+        elif isinstance(error, VehicleError):
+            told = f"real = {real}: {told}"
+        raise type(error)(told) from error
+    return training
 
 
 def _words(settings: Mapping[str, Any]) -> list[str]:

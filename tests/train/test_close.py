@@ -106,8 +106,13 @@ def test_a_policy_gets_no_vehicle_of_its_own(diagnosed, tmp_path):
 
 
 def test_a_car_that_is_not_there_is_told_before_anything_is_trained(diagnosed, tmp_path):
-    with pytest.raises(RacerlError, match="nowhere"):
-        close(settings_of(diagnosed, real="nowhere.yaml"), tmp_path / "out", compose_settings)
+    (tmp_path / "no_car.yaml").write_text("mass: 3\n")
+    for real, said in (
+        ("nowhere.yaml", "^real = nowhere.yaml: no such file"),
+        (str(tmp_path / "no_car.yaml"), "^real = .*no_car.yaml: vehicle: section 'front' is missing"),
+    ):
+        with pytest.raises(RacerlError, match=said):
+            close(settings_of(diagnosed, real=real), tmp_path / "out", compose_settings)
     assert not (tmp_path / "out").exists()
 
 
