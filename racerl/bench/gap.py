@@ -19,7 +19,7 @@ from racerl.documents import content_hash, read_json, write_json
 from racerl.errors import ConfigError
 from racerl.gap.calibration import Case, calibrate, checked, compared, truth_of
 from racerl.gap.diagnose import NAME, VERDICT, gap
-from racerl.gap.hypotheses import Hypothesis, calibrated_reach
+from racerl.gap.hypotheses import Hypothesis, calibrated_least
 from racerl.run import MANIFEST, is_complete, provenance
 from racerl.vehicle.catalogue import confused_with, names
 from racerl.vehicle.load import load_vehicle
@@ -95,16 +95,16 @@ def probabilities(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     if not told:
         return {}
     sets = [[Hypothesis(tuple(each["names"]), each["probability"]) for each in row["hypotheses"]] for row in told]
-    return compared(sets, [truth_of(_case(row["truth"], ())) for row in told], calibrated_reach())._asdict()
+    return compared(sets, [truth_of(_case(row["truth"], ())) for row in told], calibrated_least())._asdict()
 
 
 def calibration(cases: Sequence[Case], groups: Sequence[str]) -> dict[str, Any]:
     """Return the weights of a rule fitted to some cases, and how rules fitted to all but a group fare on that group."""
-    reach, check = checked(cases, groups)
+    least, check = checked(cases, groups)
     return {
         "cases": dict(sorted(Counter(groups).items())),
         "weights": calibrate(cases).weights(),
-        "reach": reach,
+        "least": least,
         "left_out_groups": check._asdict(),
     }
 

@@ -18,9 +18,9 @@ from racerl.gap.hypotheses import (
     Round,
     Rule,
     candidate_features,
+    credible,
     hypotheses,
     left_features,
-    reaching,
     stop_features,
 )
 
@@ -95,7 +95,7 @@ def calibrate(cases: Sequence[Case]) -> Rule:
 def checked(cases: Sequence[Case], groups: Sequence[str]) -> tuple[float, Check]:
     """Fit to all groups of cases but one, and check the rule on that one, for each group.
 
-    Return how far sets of hypotheses have to reach for that, and the check of sets that do.
+    Return how probable hypotheses of a set have to be for that, and the check of sets of those that are.
     """
     told: list[list[Hypothesis]] = []
     truths: list[tuple[str, ...]] = []
@@ -104,32 +104,31 @@ def checked(cases: Sequence[Case], groups: Sequence[str]) -> tuple[float, Check]
         for case in (case for case, own in zip(cases, groups, strict=True) if own == group):
             told.append(hypotheses(case.rounds, rule))
             truths.append(truth_of(case))
-    reach = conformal(told, truths)
-    return reach, compared(told, truths, reach)
+    least = conformal(told, truths)
+    return least, compared(told, truths, least)
 
 
 def conformal(told: Sequence[Sequence[Hypothesis]], truths: Sequence[tuple[str, ...]]) -> float:
-    """Return how far sets have to reach to hold the truth in LEVEL of further cars that lack one effect.
+    """Return from which probability on sets hold the truth in LEVEL of further cars that lack one effect.
 
-    It is the ⌈(n + 1) LEVEL⌉-th smallest of what hypotheses before the truth have together, 1 where it was not told.
+    It is the largest that the truth of ⌈(n + 1) LEVEL⌉ of these n cars was told with; 0 where they are too few.
     """
-    before = sorted(_before(each, truth) for each, truth in zip(told, truths, strict=True) if _is_one(truth))
-    rank = math.ceil((len(before) + 1) * LEVEL)
-    return before[rank - 1] if rank <= len(before) else 1.0
+    found = sorted(_told_with(each, truth) for each, truth in zip(told, truths, strict=True) if _is_one(truth))
+    missed = len(found) - math.ceil((len(found) + 1) * LEVEL)
+    return found[missed] if missed >= 0 else 0.0
 
 
-def _before(told: Sequence[Hypothesis], truth: tuple[str, ...]) -> float:
-    names = [each.names for each in told]
-    return sum(each.probability for each in told[: names.index(truth)]) if truth in names else 1.0
+def _told_with(told: Sequence[Hypothesis], truth: tuple[str, ...]) -> float:
+    return next((each.probability for each in told if each.names == truth), 0.0)
 
 
 def _is_one(truth: tuple[str, ...]) -> bool:
     return len(truth) == 1 and truth[0] != UNLISTED
 
 
-def compared(told: Sequence[Sequence[Hypothesis]], truths: Sequence[tuple[str, ...]], reach: float) -> Check:
+def compared(told: Sequence[Sequence[Hypothesis]], truths: Sequence[tuple[str, ...]], least: float) -> Check:
     """Compare hypotheses, most probable first, and their sets with what was hidden."""
-    sets = [reaching(each, reach) for each in told]
+    sets = [credible(each, least) for each in told]
     covered = np.array([truth in [each.names for each in among] for among, truth in zip(sets, truths, strict=True)])
     first = np.array([each[0].names == truth for each, truth in zip(told, truths, strict=True)], float)
     p = np.array([each[0].probability for each in told])

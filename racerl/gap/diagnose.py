@@ -23,7 +23,7 @@ from racerl.gap.checkpoint import Checkpoint
 from racerl.gap.decision import Decision
 from racerl.gap.evidence import COMMANDS, Evidence, channels_of
 from racerl.gap.fitted_model import COG, FittedModel
-from racerl.gap.hypotheses import Hypothesis, calibrated, calibrated_reach, hypotheses, reaching
+from racerl.gap.hypotheses import Hypothesis, calibrated, calibrated_least, credible, hypotheses
 from racerl.gap.investigation import SHAPE, Investigation, investigate
 from racerl.gap.locate import locate
 from racerl.gap.naming import name_effects
@@ -247,7 +247,7 @@ def _residual(
 
 def _told(found: Sequence[Hypothesis]) -> list[dict[str, Any]]:
     """Return hypotheses as they are told, and which of them are in the set that holds the truth in 95 % of cars."""
-    count = len(reaching(found, calibrated_reach()))
+    count = len(credible(found, calibrated_least()))
     return [
         {"names": list(each.names), "probability": each.probability, "in_set": number < count}
         for number, each in enumerate(found)

@@ -85,19 +85,18 @@ def hypotheses(rounds: Sequence[Round], rule: Rule) -> list[Hypothesis]:
 
 
 @cache
-def calibrated_reach() -> float:
-    """Return the probability within which the package's sets of hypotheses hold the truth as often as they should."""
-    return float(read_json(CALIBRATION)["reach"])
+def calibrated_least() -> float:
+    """Return the probability from which on the package's sets of hypotheses hold the truth as often as they should."""
+    return float(read_json(CALIBRATION)["least"])
 
 
-def reaching(told: Sequence[Hypothesis], reach: float) -> list[Hypothesis]:
-    """Return the set of the most probable hypotheses: those before which others have a probability of `reach` at most.
+def credible(told: Sequence[Hypothesis], least: float) -> list[Hypothesis]:
+    """Return the set of hypotheses, most probable first: those with a probability of `least` or more, and the first.
 
-    Where simulated cars with one effect say how large that has to be, the set holds the truth in LEVEL of such cars
-    (split conformal prediction, Vovk et al. 2005).
+    Where simulated cars with one effect say how small that has to be, the set holds the truth in LEVEL of such cars
+    (split conformal prediction; of all sets that do, these are the smallest in the mean: Sadinle, Lei, Wasserman 2019).
     """
-    before = np.cumsum([0.0, *(each.probability for each in told)])
-    return [each for each, sum_before in zip(told, before, strict=False) if sum_before <= reach]
+    return [each for number, each in enumerate(told) if number == 0 or each.probability >= least]
 
 
 def choice(each: Round, rule: Rule) -> Array:

@@ -13,10 +13,10 @@ from racerl.gap.hypotheses import (
     Rule,
     candidate_features,
     choice,
+    credible,
     hypotheses,
     in_doubt,
     left_features,
-    reaching,
     stop_features,
 )
 from racerl.gap.sentences import in_short, likely, unseen, why_not
@@ -103,7 +103,7 @@ def test_a_rule_is_found_again_from_what_it_led_to():
 
 def test_sets_hold_one_effect_as_often_as_they_should_in_cars_not_seen():
     told = [Hypothesis((name,), p) for name, p in (("a", 0.9), ("b", 0.06), ("c", 0.04))]
-    assert [len(reaching(told, reach)) for reach in (0.0, 0.89, 0.9, 0.97, 1.0)] == [1, 1, 2, 3, 3]
+    assert [len(credible(told, least)) for least in (1.0, 0.9, 0.06, 0.05, 0.04, 0.0)] == [1, 1, 2, 2, 3, 3]
     generator, levels = np.random.default_rng(0), []
 
     def drawn_at_random(count):  # probabilities that promise too much: the truth is further down than they say
@@ -115,12 +115,13 @@ def test_sets_hold_one_effect_as_often_as_they_should_in_cars_not_seen():
         return rows, truths
 
     for _ in range(40):
-        reach = conformal(*drawn_at_random(100))
-        levels.append(compared(*drawn_at_random(400), reach).one_covered)
+        least = conformal(*drawn_at_random(100))
+        levels.append(compared(*drawn_at_random(400), least).one_covered)
     assert np.mean(levels) == pytest.approx(0.95, abs=0.015)
     rows, truths = drawn_at_random(30)
-    assert conformal(rows, [("elsewhere",), *truths[1:]]) <= 1.0 == conformal(rows[:5], [("elsewhere",), *truths[1:5]])
-    assert conformal(rows[:30], [("a", "b")] * 30) == 1.0, "of cars that lack one effect"
+    assert conformal(rows[:18], truths[:18]) == 0.0 < conformal(rows[:19], truths[:19]), "of 18 none may be missed"
+    assert conformal(rows, [("elsewhere",), *truths[1:]]) == 0.0, "what was not told needs all that was"
+    assert conformal(rows, [("a", "b")] * 30) == 0.0, "of cars that lack one effect"
 
 
 def test_groups_are_judged_by_rules_of_others():
