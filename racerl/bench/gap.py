@@ -41,7 +41,10 @@ class Gap:
     calibration: str
 
     def measure(self, compose: Compose, threads: int, on_progress: Progress) -> dict[str, Any]:
-        """Return scores with 95 % intervals, the confusion matrix, and every case's outcome."""
+        """Return scores with 95 % intervals, the confusion matrix, and every case's outcome.
+
+        With `calibration` a case has what naming saw in every round as well, from which the rule can be fitted again.
+        """
         folder = Path(self.blind)
         if not (folder / "keys.json").is_file():
             raise ConfigError(
@@ -62,7 +65,8 @@ class Gap:
             placed = _from_the_configured_centre(key, float(load_vehicle(settings["vehicle"]).l_f))
             rows.append(outcome(log.stem, placed, *_diagnosis(settings, out)))
             if self.calibration and (out / NAME).is_file():
-                cases.append(_case(rows[-1]["truth"], read_json(out / NAME)["rounds"]))
+                rows[-1]["rounds"] = read_json(out / NAME)["rounds"]
+                cases.append(_case(rows[-1]["truth"], rows[-1]["rounds"]))
                 groups.append(f"{key.get('tyre')}, {key.get('slip')}")
         if self.calibration:
             source = {
