@@ -17,7 +17,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from racerl.gap.comparison import BEHIND, FOREIGN, REAL, WORSE, CandidateScore, equals, excesses, total
+from racerl.gap.comparison import BEHIND, CLEAR, FOREIGN, REAL, WORSE, CandidateScore, equals, excesses, total
 from racerl.gap.decision import Decision
 from racerl.gap.fitted_model import touched
 from racerl.gap.investigation import Investigation
@@ -29,6 +29,7 @@ Costs = Mapping[str, float]  # excess of every stage
 CHANCE = 5.0  # deviations of the noise's own cost, below which an excess may be chance
 LEFT, LEFT_EXACT = 0.25, 0.1  # shares of the first excess that may stay behind a right name: of many forms, of one
 CREDIBLE = 0.6  # share of the excess that a name must explain
+MANY = 10.0  # times the noise's cost, from which on an excess is told in these
 COARSE = 30.0  # excess over the noise's cost, beyond which that of filtered sensors is no yardstick
 TWINS = 0.95  # |cosine| above which a linear test cannot tell two effects apart
 MOST = 0.5  # share of the catalogue that a log must be able to show
@@ -60,7 +61,10 @@ def _without_effects(investigation: Investigation, decision: Decision, before: C
     blind = decision.score.hidden()
     stage, _, first = open_stage(investigation, decision, before, after)
     if stage:
-        reason = f"the {stage} stage has an excess of {first:.0%} over the noise's cost, which no effect explains"
+        reason = f"the {stage} stage has an excess of {_noises(first)}, which no effect explains"
+        if not decision.doubted and (best := _unclear(investigation, decision, stage)):
+            part = f"{best.name} would take {best.explained:.0%} of it, by {best.gain / best.error:.1f} standard errors"
+            reason += f"; {part}, and a name takes {CLEAR:.0f}"
         if decision.doubted and stage in _doubted_in(investigation, decision):
             part = f"{decision.doubted} would take {decision.rounds[-1][0].explained:.0%} of it"
             reason += f"; {part}, but something that is not in the catalogue is more probable"
@@ -73,6 +77,18 @@ def _without_effects(investigation: Investigation, decision: Decision, before: C
         comes = f"the refitted vehicle comes within {FOREIGN:.0%} of the sensors' noise"
         reason = f"with a tyre shape that departs from its formula, {comes}"
     return Verdict("none", (), (), blind, reason)
+
+
+def _noises(excess: float) -> str:
+    return f"{excess:.0%} over the noise's cost" if excess < MANY else f"{excess:.0f} times the noise's cost"
+
+
+def _unclear(investigation: Investigation, decision: Decision, stage: str) -> CandidateScore | None:
+    """Return what came first in the last round, if it acts in a stage and explains much, though not clearly."""
+    first = next(iter(decision.rounds[-1] if decision.rounds else []), None)
+    if first is None or first.clear or first.explained < LEFT or first.gain <= 0.0:
+        return None
+    return first if stage in touched(investigation, first.found.vehicle, [first.name]) else None
 
 
 def _with_effects(investigation: Investigation, decision: Decision, before: Costs, after: Costs) -> Verdict:
@@ -94,7 +110,7 @@ def _with_effects(investigation: Investigation, decision: Decision, before: Cost
     elsewhere = [name for name in decision.noise if name not in moved]  # where these effects do not act
     stage, left, _ = open_stage(investigation, decision, before, after, elsewhere)
     if stage:
-        explained += f"; in the {stage} stage an excess of {left:.0%} over the noise's cost stays without a name"
+        explained += f"; in the {stage} stage an excess of {_noises(left)} stays without a name"
     real = sum(_real(investigation, stage) * decision.noise[stage] for stage in moved)
     foreign = investigation.shaped and TYRES in moved and rest < real
     coarse = any(_coarse(investigation, decision, stage, after[stage]) for stage in moved)

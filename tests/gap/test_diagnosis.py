@@ -826,6 +826,23 @@ def test_what_was_rather_not_added_is_told_where_nothing_was(monkeypatch):
         assert verdict.kind == "unknown" and verdict.reason.endswith(said) == told
 
 
+def test_what_would_explain_much_but_not_clearly_is_told(monkeypatch):
+    monkeypatch.setattr("racerl.gap.verdict.fitted", lambda *_: 2 * ({"chassis": 8.2e7},))
+    row = SimpleNamespace(name="tyre_heating", explained=0.44, gain=28.0, error=10.0, clear=False, found=None)
+    row.found = found = SimpleNamespace(vehicle=None)
+    score = Score([], np.zeros((0, 0)), np.zeros(0))
+    decision = SimpleNamespace(chosen=[], found=found, noise={"chassis": 1e5}, score=score, doubted="", rounds=[[row]])
+    said = "; tyre_heating would take 44% of it, by 2.8 standard errors, and a name takes 3"
+    for changes, told in (({}, True), ({"explained": 0.1}, False), ({"gain": -1.0}, False)):
+        decision.rounds = [[SimpleNamespace(**{**vars(row), **changes})]]
+        monkeypatch.setattr("racerl.gap.verdict.touched", lambda *_: ["chassis"])
+        reason = judge(SimpleNamespace(shaped=False, chance={"chassis": 0.005}), decision).reason
+        assert reason.startswith("the chassis stage has an excess of 820 times the noise's cost")
+        assert reason.endswith(said) == told
+    monkeypatch.setattr("racerl.gap.verdict.touched", lambda *_: ["drive"])
+    assert said not in judge(SimpleNamespace(shaped=False, chance={"chassis": 0.005}), decision).reason
+
+
 @pytest.mark.parametrize(
     ("left", "doubted", "kind"),
     [
