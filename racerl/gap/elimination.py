@@ -68,11 +68,12 @@ def _instead(judge: Judge, lacking: Decision, rival: CandidateScore) -> Candidat
 def settled(judge: Judge, decision: Decision) -> Decision:
     """Identify everything again in all stages; take out effects whose interval then holds no effect, or any place.
 
+    Without any effect the refit stands as it was.
     Rivals that are needed without them take their places: a bowl of which nobody knows where it is is a tilted floor.
     """
     investigation = judge.investigation
     while True:
-        found = everywhere(investigation, decision.found)
+        found = everywhere(investigation, decision.found) if decision.chosen else investigation.base
         ranges = intervals(investigation, found)
         idle = [
             name for name in decision.chosen if _idle(name, ranges) or _nowhere(name, ranges, investigation.evidence)

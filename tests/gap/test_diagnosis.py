@@ -903,7 +903,7 @@ def test_a_rival_takes_the_place_of_an_effect_that_is_nowhere(monkeypatch, neede
     told = lambda judge, lacking, rows: {"candidates": [{"name": row.name} for row in rows]}  # noqa: E731
     monkeypatch.setattr(elimination, "features", told)
     monkeypatch.setattr(elimination, "passes_less_noise", lambda *_: False)
-    investigation = SimpleNamespace(workers=Workers(), floor={"chassis": 0.0}, seed=0, evidence={})
+    investigation = SimpleNamespace(workers=Workers(), floor={"chassis": 0.0}, seed=0, evidence={}, base=fit())
     judge = SimpleNamespace(
         investigation=investigation, ranked=lambda rows, cost: list(rows), one=lambda row, other: False
     )
