@@ -15,17 +15,26 @@ def stretches(run: Index, start: Index, rows: int) -> Index:
     return np.unique(run * FAR + start // rows, return_inverse=True)[1]
 
 
+def winsorised(sums: Array, outer: int) -> Array:
+    """Return values (B,) with the `outer` on each side moved to their neighbours."""
+    ordered = np.sort(sums)
+    return np.clip(sums, ordered[outer], ordered[-1 - outer])
+
+
 def standard_error(sums: Array, outer: int) -> float:
-    """Return the standard error of a total of blocks (B,) of which the `outer` on each side were winsorised.
+    """Return the standard error of the total of blocks (B,) once the `outer` on each side are winsorised.
 
     By Dixon and Tukey (1968), s √B (B − 1)/(h − 1) with h = B − 2 outer, and widened by what Student's law with h − 1
-    degrees of freedom has more than the normal one at CLEAR of them. Infinite where h is below 2.
+    degrees of freedom has more than the normal one at CLEAR of them. Infinite where h is below 2. Not widened where all
+    blocks have one sign and are so many that this is as rare by chance, 2^−B: their spread is no doubt about the sign.
     """
     count, free = len(sums), len(sums) - 2 * outer - 1
     if free < 1:
         return np.inf
-    wider = t.ppf(norm.cdf(CLEAR), free) / CLEAR
-    return float(np.std(sums, ddof=1) * np.sqrt(count) * (count - 1) / free * wider)
+    error = float(np.std(winsorised(sums, outer), ddof=1) * np.sqrt(count))
+    if abs(np.sign(sums).sum()) == count and 0.5**count <= norm.sf(CLEAR):
+        return error
+    return error * (count - 1) / free * float(t.ppf(norm.cdf(CLEAR), free)) / CLEAR
 
 
 def counts(blocks: int, draws: int, generator: np.random.Generator) -> Array:

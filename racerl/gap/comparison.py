@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from racerl.estimation.blocks import CLEAR, nested_counts, standard_error
+from racerl.estimation.blocks import CLEAR, nested_counts, standard_error, winsorised
 from racerl.gap.cross_validation import held_out
 from racerl.gap.fitted_model import FittedModel, touched
 from racerl.gap.folds import blocks
@@ -132,12 +132,6 @@ def wild(investigation: Investigation, stage: str, cost: Array | None = None) ->
     return max(WILD * investigation.evidence[stage].numbers, TYPICAL * float(np.median(usual)))
 
 
-def _winsorised(sums: Array) -> Array:
-    """Return values with the outermost on each side moved to their neighbours."""
-    ordered, outer = np.sort(sums), _outer(len(sums))
-    return np.clip(sums, ordered[outer], ordered[-1 - outer])
-
-
 def _outer(count: int) -> int:
     """Return how many of so many blocks count no more than their neighbours, on each side; of few none."""
     return max(1, round(OUTER * count)) if count >= FEW else 0
@@ -255,8 +249,9 @@ class Judge:
 
     def gain(self, before: Mapping[str, Array], after: Mapping[str, Array]) -> tuple[float, float]:
         """Return the fall of the loss over the stages in both, and its standard error over blocks of windows."""
-        sums = self._blocks(before, after)
-        return float(sums.sum()), standard_error(sums, _outer(len(sums)))
+        sums = self._sums(before, after)
+        outer = _outer(len(sums))
+        return float(winsorised(sums, outer).sum()), standard_error(sums, outer)
 
     def chance(self, before: Mapping[str, Array], after: Mapping[str, Array]) -> float:
         """Return the share of resamples of the runs in which the loss does not fall."""
@@ -275,11 +270,15 @@ class Judge:
 
     def _blocks(self, before: Mapping[str, Array], after: Mapping[str, Array], loss: Loss | None = None) -> Array:
         """Return the fall of a loss by block, (B,), winsorised: no block decides alone."""
+        sums = self._sums(before, after, loss)
+        return winsorised(sums, _outer(len(sums)))
+
+    def _sums(self, before: Mapping[str, Array], after: Mapping[str, Array], loss: Loss | None = None) -> Array:
         loss, stages = loss or self.loss, [stage for stage in after if stage in before]
         number = blocks({stage: self.investigation.evidence[stage] for stage in stages})
         falls = [loss(stage, before[stage]) - loss(stage, after[stage]) for stage in stages]
         sums = np.bincount(np.concatenate(list(number.values())), np.concatenate(falls))
-        return _winsorised(sums.astype(float))
+        return sums.astype(float)
 
     def loss(self, stage: str, cost: Array) -> Array:
         """Return n log(1 + cost/n), n the cost of a usual window: one that no fit foresaw does not decide alone.

@@ -30,7 +30,7 @@ from racerl.gap.naming import name_effects
 from racerl.gap.numbers import as_configured, wrong_numbers
 from racerl.gap.progress import OnProgress, silent, within
 from racerl.gap.prove import prove
-from racerl.gap.stage import CHAIN, Stage, stages
+from racerl.gap.stage import CHAIN, TYRES, Stage, stages
 from racerl.gap.uncertainty import FAR, deviations, intervals, moved, possible_cars
 from racerl.gap.verdict import CLAIMS, Verdict, judge, proved, separable
 from racerl.identify.document import write_model
@@ -218,7 +218,7 @@ def _steps(
         "residual": None,
         **told,
     }
-    if verdict.kind == "unknown":
+    if verdict.kind == "unknown" and TYRES in investigation.evidence:
         facts["residual"] = _residual(investigation, settings, folder, told, within(on_progress, LEARNING, 1.0))
     return facts, found, investigation
 

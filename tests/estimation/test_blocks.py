@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from racerl.estimation.blocks import CLEAR, counts, nested_counts, resampled, standard_error, stretches
+from racerl.estimation.blocks import CLEAR, counts, nested_counts, resampled, standard_error, stretches, winsorised
 from racerl.estimation.windows import window_starts
 
 
@@ -55,10 +55,16 @@ def test_the_spread_of_resampled_sums_is_the_standard_error():
 @pytest.mark.parametrize("count, outer", [(4, 0), (12, 1), (60, 1)])
 def test_as_many_standard_errors_as_are_clear_come_by_chance_once_in_hundreds(count, outer):
     """Φ(−3) is 0.13 %; without Student's law four blocks would pass 4 % of the time, twelve, winsorised, 2 %."""
-    sums = np.sort(np.random.default_rng(5).normal(size=(20_000, count)), axis=1)
-    sums = np.clip(sums, sums[:, [outer]], sums[:, [-1 - outer]])
-    clear = [row.sum() > CLEAR * standard_error(row, outer) for row in sums]
+    sums = np.random.default_rng(5).normal(size=(20_000, count))
+    clear = [winsorised(row, outer).sum() > CLEAR * standard_error(row, outer) for row in sums]
     assert np.mean(clear) == pytest.approx(0.00135, abs=0.001)
+
+
+def test_ten_blocks_that_all_gain_are_no_chance_however_unequal():
+    uneven = np.array([29.0, 29, 37, 38, 75, 84, 101, 102, 201, 235])
+    assert uneven.sum() > CLEAR * standard_error(uneven, 1)
+    assert standard_error(np.append(uneven, -1.0), 1) > 1.5 * standard_error(uneven, 1)  # one of them loses a little
+    assert standard_error(-uneven, 1) == standard_error(uneven, 1)
 
 
 def test_a_single_block_tells_nothing():
