@@ -260,13 +260,14 @@ class Judge:
 
     def _resamples(self, stages: Iterable[str]) -> Array:
         """Return how often each block of some stages is drawn, (RESAMPLES, B): of runs, and of stretches in these."""
-        evidence = {stage: self.investigation.evidence[stage] for stage in stages}
-        number, run = (
-            np.concatenate(list(blocks(evidence).values())),
-            np.concatenate([e.run for e in evidence.values()]),
-        )
+        stages = list(stages)
+        number, run = self._number(stages), np.concatenate([self.investigation.evidence[each].run for each in stages])
         first = np.unique(number, return_index=True)[1]
         return nested_counts(run[first], RESAMPLES, np.random.default_rng(self.investigation.seed))
+
+    def _number(self, stages: Iterable[str]) -> NDArray[np.int64]:
+        """Return the block of every window of some stages, one stage after the other."""
+        return np.concatenate(list(blocks({stage: self.investigation.evidence[stage] for stage in stages}).values()))
 
     def _blocks(self, before: Mapping[str, Array], after: Mapping[str, Array], loss: Loss | None = None) -> Array:
         """Return the fall of a loss by block, (B,), winsorised: no block decides alone."""
@@ -275,9 +276,8 @@ class Judge:
 
     def _sums(self, before: Mapping[str, Array], after: Mapping[str, Array], loss: Loss | None = None) -> Array:
         loss, stages = loss or self.loss, [stage for stage in after if stage in before]
-        number = blocks({stage: self.investigation.evidence[stage] for stage in stages})
         falls = [loss(stage, before[stage]) - loss(stage, after[stage]) for stage in stages]
-        sums = np.bincount(np.concatenate(list(number.values())), np.concatenate(falls))
+        sums = np.bincount(self._number(stages), np.concatenate(falls))
         return sums.astype(float)
 
     def loss(self, stage: str, cost: Array) -> Array:
