@@ -9,7 +9,7 @@ import pytest
 
 from tests.gap.plant import cars, effects, families, sensors, tyre
 from tests.gap.plant.batch import key, simulate
-from tests.gap.plant.car import SLIPS, Plant
+from tests.gap.plant.car import SLIPS, STRUCTURES, Plant
 from tests.gap.plant.cases import SETS, Case, Choice
 from tests.gap.plant.effects import CATALOGUE, UNLISTED
 from tests.gap.plant.programmes import Run, bowl
@@ -129,6 +129,32 @@ def test_cars_on_other_tyres_and_slips_are_other_cars():
     assert min(abs(other - usual) for other in others) > 0.02
     gentle = [log_of(Plant(published(1), slip=slip), run_of(1.0, 1.0, held(0.05, 1.0)))["yaw"][-1, 0] for slip in SLIPS]
     assert gentle == pytest.approx([gentle[0]] * 3, rel=1e-3)  # slips over any speed are alike where they are small
+
+
+@pytest.mark.slow
+def test_sensors_change_what_is_told_of_one_drive():
+    """The same car, driving and noise: what the sensors do is of the size that they say, and late in nothing."""
+    names = ["ideal", "bent", "coarse", "filtered", "sparse"]
+    cases = [SETS["clean"](Choice(seed=3, noises=(1.0,), minutes=0.3, sensors=name))[0] for name in names]
+    assert len({case.name for case in cases}) == 5 and len({case.origin for case in cases}) == 1
+    ideal, bent, coarse, filtered, sparse = (simulate([case])[0] for case in cases)
+    off = bent[["x", "y"]] - ideal[["x", "y"]]
+    assert 0.2e-3 < off.to_numpy().std() < 2e-3 and off.diff().abs().to_numpy()[1:].max() < 2e-4
+    assert bent.drop(columns=["x", "y"]).equals(ideal.drop(columns=["x", "y"]))
+    assert (coarse["omega"] - ideal["omega"]).abs().max() == pytest.approx(0.01, rel=0.01)
+    assert (coarse["delta"] - ideal["delta"]).abs().max() == pytest.approx(np.pi / 4096, rel=0.01)
+    late = [np.mean(np.diff(ideal["yaw_rate"]) * np.roll(np.diff(filtered["yaw_rate"]), k)) for k in (-1, 0, 1)]
+    assert max(late) == late[1] and filtered["v_x"].diff().std() < 0.5 * ideal["v_x"].diff().std()
+    assert sparse.equals(ideal.groupby("run").nth(slice(None, None, 2)).reset_index(drop=True))
+
+
+def test_four_wheels_scrub_where_one_track_does_not():
+    """Wheels side by side slip unlike each other in a turn; on a straight they are one."""
+    tight = {s: log_of(Plant(published(1), structure=s), run_of(1.5, 1.0, held(0.35, 1.0))) for s in STRUCTURES}
+    rates = {s: float(log["yaw_rate"][-1, 0]) for s, log in tight.items()}
+    assert 0.002 < abs(rates["four_wheels"] / rates["single_track"] - 1) < 0.1
+    straight = [log_of(Plant(published(1), structure=s), run_of(1.0, 2.0, held(0.0, 3.0)))["v_x"] for s in STRUCTURES]
+    assert np.allclose(straight[0], straight[1], atol=1e-9)
 
 
 @pytest.mark.slow

@@ -52,6 +52,7 @@ def key(case: Case) -> dict[str, object]:
         "tyre": case.family,
         "slip": case.slip,
         "floor": case.floor,
+        "sensors": case.sensors,
         "car": case.car(),
     }  # fmt: skip
 
@@ -65,8 +66,9 @@ def _logged(case: Case, logs: Logs, car: int) -> pd.DataFrame:
     """One car's log, with its noise."""
     rng, frames = case.generator(3), []
     for run, (t, channels) in enumerate(logs):
-        noisy = sensors.add_noise({name: values[:, car] for name, values in channels.items()}, case.noise, rng)
+        own = {"t": t} | {name: values[:, car] for name, values in channels.items()}
+        noisy = sensors.SENSORS[case.sensors](sensors.add_noise(own, case.noise, rng), case.generator(4))
         if case.velocities == "differentiated":
-            noisy = sensors.differentiate(noisy)
-        frames.append(sensors.frame(t, run, noisy))
+            noisy = sensors.differentiate(noisy, noisy["t"][1] - noisy["t"][0])
+        frames.append(sensors.frame(run, noisy))
     return pd.concat(frames, ignore_index=True)

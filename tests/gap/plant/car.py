@@ -19,7 +19,8 @@ from tests.gap.plant.families import MAGIC_FORMULA, forces_of
 from tests.gap.plant.tyre import Array, Curves, Tyre
 
 TRACK_WIDTH = 0.2  # m, of the two-track car
-COG_HEIGHT = 0.07  # m, of the two-track car
+COG_HEIGHT: dict[str, float] = {"four_wheels": 0.0, "two_track": 0.07}  # m, of cars with two wheels on an axle
+STRUCTURES = ("single_track", *COG_HEIGHT)
 N_BODY = 8  # rows of the state that every car has
 HOOKS = (
     "tick", "command", "road_wheel", "surface", "loads", "grip", "forces", "body", "servo", "motor", "rates",
@@ -72,7 +73,7 @@ def _coefficients(cars: dict[str, Array], per_axle: int) -> dict[str, Array]:
 
 
 class FourWheelLoads(Effect):
-    """The two-track car's own: wheel loads follow a_x and a_y within 20 ms, and open differentials on both axles."""
+    """Four wheels' own: their loads follow a_x and a_y within 20 ms, and open differentials on both axles."""
 
     name = "two_track"
     LAG = 0.02  # s
@@ -80,7 +81,7 @@ class FourWheelLoads(Effect):
     def attach(self, plant: Plant) -> None:
         cars, wheels = plant.cars, plant.wheels
         self.Y = wheels.Y
-        transfer = cars["mass"] * COG_HEIGHT / 2
+        transfer = cars["mass"] * COG_HEIGHT[plant.structure] / 2
         self.pitch = np.array([-1.0, -1.0, 1.0, 1.0])[:, None] * transfer / cars["wheelbase"]
         share = np.repeat([1 - cars["l_f"] / cars["wheelbase"], cars["l_f"] / cars["wheelbase"]], 2, axis=0)
         self.roll = np.array([-1.0, 1.0, -1.0, 1.0])[:, None] * 2 * share * transfer / TRACK_WIDTH
@@ -137,8 +138,8 @@ class Now:
 class Plant:
     """B cars with their effects, driven by `advance`.
 
-    `structure` is single_track or two_track, `family` that of the tyres, `slip` the speed that slips are over: of the
-    wheel's centre, of its surface, or the larger one.
+    `structure` is one of `STRUCTURES`, of which the two_track car's loads alone change; `family` is that of the tyres,
+    `slip` the speed that slips are over: of the wheel's centre, of its surface, or the larger one.
     """
 
     def __init__(
@@ -151,16 +152,17 @@ class Plant:
         family: str = MAGIC_FORMULA,
         slip: str = "centre",
     ) -> None:
-        if structure not in ("single_track", "two_track"):
-            raise ValueError(f"no structure {structure!r}; known: single_track, two_track")
+        if structure not in STRUCTURES:
+            raise ValueError(f"no structure {structure!r}; known: {', '.join(STRUCTURES)}")
+        self.structure = structure
         self.dt, self.lean, self.slip = dt, lean, SLIPS[slip]
         self.forces = forces_of(family)
         self.n_cars = len(cars["mass"])
         self.cars = dict(cars) | {"centre_line": np.zeros(self.n_cars)}
         for effect in effects:
             effect.reshape(self.cars)
-        self.wheels = wheels_of(self.cars, per_axle=1 + (structure == "two_track"))
-        own = [FourWheelLoads(np.ones(self.n_cars), {})] if structure == "two_track" else []
+        self.wheels = wheels_of(self.cars, per_axle=1 + (structure in COG_HEIGHT))
+        own = [FourWheelLoads(np.ones(self.n_cars), {})] if structure in COG_HEIGHT else []
         self._attach([*own, *effects])
         self._prepare()
 

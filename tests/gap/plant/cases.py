@@ -49,19 +49,21 @@ class Case:
     family: str = field(default=MAGIC_FORMULA, repr=False)  # of the tyres
     slip: str = field(default="centre", repr=False)  # the speed that slips are over
     floor: float = field(default=1.0, repr=False)  # grip of the floor, times the car's own
+    sensors: str = field(default="ideal", repr=False)
 
     @property
     def origin(self) -> str:
-        """An opaque name, whatever the floor: car, effects, driving and noise are its."""
+        """An opaque name, whatever the floor and the sensors: car, effects, driving and noise are its."""
         own = "" if (self.family, self.slip) == (MAGIC_FORMULA, "centre") else f" on {self.family}, {self.slip}"
         return hashlib.sha256(f"{self}{own}".encode()).hexdigest()[:12]
 
     @property
     def name(self) -> str:
         """An opaque name."""
-        if self.floor == 1.0:
+        if (self.floor, self.sensors) == (1.0, "ideal"):
             return self.origin
-        return hashlib.sha256(f"{self.origin} {self.floor}".encode()).hexdigest()[:12]
+        own = "" if self.sensors == "ideal" else f" {self.sensors}"
+        return hashlib.sha256(f"{self.origin} {self.floor}{own}".encode()).hexdigest()[:12]
 
     @property
     def length(self) -> float:
@@ -98,9 +100,11 @@ class Choice:
     family: str = MAGIC_FORMULA
     slip: str = "centre"
     floor: float = 1.0
+    structure: str = "single_track"
+    sensors: str = "ideal"
 
     def case(
-        self, name: str, hidden: Hidden, programme: str, noise: float, number: int = 0, structure: str = "single_track"
+        self, name: str, hidden: Hidden, programme: str, noise: float, number: int = 0, structure: str = ""
     ) -> Case:
         """A case with the options that hold for all."""
         return Case(
@@ -108,7 +112,7 @@ class Choice:
             effects=hidden,
             programme=programme,
             noise=noise,
-            structure=structure,
+            structure=structure or self.structure,
             minutes=self.minutes,
             direction=self.direction,
             velocities=self.velocities,
@@ -117,6 +121,7 @@ class Choice:
             family=self.family,
             slip=self.slip,
             floor=self.floor,
+            sensors=self.sensors,
         )
 
 
