@@ -71,7 +71,7 @@ def hypotheses(rounds: Sequence[Round], rule: Rule) -> list[Hypothesis]:
     """
     found: list[Hypothesis] = []
     added: tuple[str, ...] = ()
-    reached, unlisted = 1.0, _unlisted(rounds, rule)
+    reached, missed = 1.0, unlisted(rounds, rule)
     chosen = [choice(each, rule).tolist() for each in rounds]
     for each, (none, *chances), later in zip(rounds, chosen, [*chosen[1:], None], strict=True):
         found.append(Hypothesis(added, reached * none))
@@ -81,7 +81,7 @@ def hypotheses(rounds: Sequence[Round], rule: Rule) -> list[Hypothesis]:
             found.append(Hypothesis((*added, row["name"]), reached * chance * then))
         if later is not None:
             added, reached = (*added, each["candidates"][0]["name"]), reached * chances[0]
-    return _told(found, unlisted)
+    return _told(found, missed)
 
 
 @cache
@@ -149,15 +149,16 @@ def _logarithm(excess: float) -> float:
     return float(np.log1p(max(excess, 0.0) / SMALL))
 
 
-def _unlisted(rounds: Sequence[Round], rule: Rule) -> float:
+def unlisted(rounds: Sequence[Round], rule: Rule) -> float:
+    """Return the probability that what is left behind the last round is something of no catalogue."""
     return float(1.0 / (1.0 + np.exp(-(rule.left @ left_features(rounds)))))
 
 
-def _told(found: Sequence[Hypothesis], unlisted: float) -> list[Hypothesis]:
+def _told(found: Sequence[Hypothesis], missed: float) -> list[Hypothesis]:
     """Return each hypothesis without and with something unlisted, most probable first, as shares of all."""
     sums: dict[tuple[str, ...], float] = {}
     for names, p in found:
-        for key, share in ((names, 1.0 - unlisted), ((*names, UNLISTED), unlisted)):
+        for key, share in ((names, 1.0 - missed), ((*names, UNLISTED), missed)):
             sums[tuple(sorted(key))] = sums.get(tuple(sorted(key)), 0.0) + p * share
     total = sum(sums.values())
     told = sorted((Hypothesis(names, p / total) for names, p in sums.items()), key=lambda each: -each.probability)

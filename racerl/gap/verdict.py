@@ -1,7 +1,7 @@
 """The verdict: what held-out windows allow to be said of a log.
 
-none            nothing is left beyond the sensors' noise, or beyond what a tyre of another formula leaves, and the log
-                would have shown the usual effects
+none            nothing is left beyond the sensors' noise, or of the motion beyond what clean cars with other tyres or
+                sensors leave, and the log would have shown the usual effects
 under_excited   nothing is left, but the log would not have shown most of them; or a small excess is explained too
                 little to be sure of a name
 named           one effect is needed, and no other explains the data as well
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from racerl.gap.comparison import BEHIND, CLEAR, FOREIGN, REAL, WORSE, CandidateScore, equals, excesses, total
 from racerl.gap.decision import Decision
 from racerl.gap.fitted_model import touched
+from racerl.gap.hypotheses import calibrated, unlisted
 from racerl.gap.investigation import Investigation
 from racerl.gap.score import Score
 from racerl.gap.sentences import listed
@@ -28,6 +29,7 @@ from racerl.gap.stage import TYRES
 Costs = Mapping[str, float]  # excess of every stage
 CHANCE = 5.0  # deviations of the noise's own cost, below which an excess may be chance
 LEFT, LEFT_EXACT = 0.25, 0.1  # shares of the first excess that may stay behind a right name: of many forms, of one
+EVEN = 0.5  # probability of something of no catalogue, below which an excess of the motion is no gap
 CREDIBLE = 0.6  # share of the excess that a name must explain
 MANY = 10.0  # times the noise's cost, from which on an excess is told in these
 COARSE = 30.0  # excess over the noise's cost, beyond which that of filtered sensors is no yardstick
@@ -59,24 +61,35 @@ def judge(investigation: Investigation, decision: Decision) -> Verdict:
 
 def _without_effects(investigation: Investigation, decision: Decision, before: Costs, after: Costs) -> Verdict:
     blind = decision.score.hidden()
-    stage, _, first = open_stage(investigation, decision, before, after)
+    excused = [TYRES] if unlisted(decision.features, calibrated()) < EVEN else []
+    asked = [name for name in decision.noise if name not in excused]
+    stage, _, first = open_stage(investigation, decision, before, after, asked)
     if stage:
-        reason = f"the {stage} stage has an excess of {_noises(first)}, which no effect explains"
-        if not decision.doubted and (best := _unclear(investigation, decision, stage)):
-            part = f"{best.name} would take {best.explained:.0%} of it, by {best.gain / best.error:.1f} standard errors"
-            reason += f"; {part}, and a name takes {CLEAR:.0f}"
-        if decision.doubted and stage in _doubted_in(investigation, decision):
-            part = f"{decision.doubted} would take {decision.rounds[-1][0].explained:.0%} of it"
-            reason += f"; {part}, but something that is not in the catalogue is more probable"
-        return Verdict("unknown", (), (), blind, reason)
+        return Verdict("unknown", (), (), blind, _unexplained(investigation, decision, stage, first))
     if len(blind) > MOST * len(decision.score.names):
         reason = f"{len(blind)} of {len(decision.score.names)} effects would not show at their usual size"
         return Verdict("under_excited", (), (), blind, reason)
-    reason = "the refitted vehicle reaches the noise"
-    if investigation.shaped:
-        comes = f"the refitted vehicle comes within {FOREIGN:.0%} of the sensors' noise"
-        reason = f"with a tyre shape that departs from its formula, {comes}"
+    reason = "with a tyre shape that departs from its formula, " if investigation.shaped else ""
+    stage, _, first = open_stage(investigation, decision, before, after, excused)
+    if stage:
+        left = f"an excess of {_noises(first)}"
+        reason += f"the refitted vehicle leaves {left}, as clean cars with other tyres or sensors do"
+    else:
+        reason += "the refitted vehicle reaches the noise"
     return Verdict("none", (), (), blind, reason)
+
+
+def _unexplained(investigation: Investigation, decision: Decision, stage: str, first: float) -> str:
+    """Return why a stage's excess has no name, and what would take a part of it."""
+    reason = f"the {stage} stage has an excess of {_noises(first)}, which no effect explains"
+    if decision.doubted:
+        if stage in _doubted_in(investigation, decision):
+            part = f"{decision.doubted} would take {decision.rounds[-1][0].explained:.0%} of it"
+            reason += f"; {part}, but something that is not in the catalogue is more probable"
+    elif best := _unclear(investigation, decision, stage):
+        part = f"{best.name} would take {best.explained:.0%} of it, by {best.gain / best.error:.1f} standard errors"
+        reason += f"; {part}, and a name takes {CLEAR:.0f}"
+    return reason
 
 
 def _noises(excess: float) -> str:
@@ -181,7 +194,8 @@ def open_stage(
         if among is not None and name not in among:
             continue
         left, first = after[name] / noise, before[name] / noise
-        real = max(_real(investigation, name), CHANCE * investigation.chance[name])
+        foreign = decision.chosen and investigation.shaped and name == TYRES
+        real = max(FOREIGN if foreign else REAL, CHANCE * investigation.chance[name])
         if decision.chosen and _coarse(investigation, decision, name, after[name]):
             continue
         if left > real + _may_stay(investigation, decision, name) * first and left > worst[1]:

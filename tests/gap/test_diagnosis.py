@@ -624,7 +624,8 @@ def test_a_name_must_explain_most_of_a_small_excess(monkeypatch, chosen, excess,
     score = Score(["aero_drag", "downforce"], np.diag([900.0, 900.0]), np.zeros(2))
     found = SimpleNamespace(vehicle=None)
     noise = {"chassis": 1e5, "steering": 1e4}
-    decision = SimpleNamespace(chosen=chosen, kept={}, found=found, noise=noise, score=score, doubted="")
+    decision = SimpleNamespace(chosen=chosen, kept={}, found=found, noise=noise, score=score, doubted="", features=[])
+    monkeypatch.setattr("racerl.gap.verdict.unlisted", lambda *_: 0.0)
     verdict = judge(investigation, decision)
     assert kind != "under_excited" or verdict.reason == "aero_drag explains only 46% of a small excess"
     assert verdict.kind == kind and verdict.effects == (() if kind in ("under_excited", "none") else ("aero_drag",))
@@ -808,6 +809,7 @@ def test_a_name_that_resamples_shake_is_ambiguous_with_what_comes_out_instead(mo
 
 
 def test_what_was_rather_not_added_is_told_where_nothing_was(monkeypatch):
+    monkeypatch.setattr("racerl.gap.verdict.unlisted", lambda *_: 0.9)
     monkeypatch.setattr("racerl.gap.verdict.fitted", lambda *_: 2 * ({"chassis": 2e4},))
     investigation = SimpleNamespace(shaped=False, chance={"chassis": 0.005})
     rows = [SimpleNamespace(name="roll_dynamics", explained=0.44, found=SimpleNamespace(vehicle=None))]
@@ -818,6 +820,7 @@ def test_what_was_rather_not_added_is_told_where_nothing_was(monkeypatch):
         score=Score([], np.zeros((0, 0)), np.zeros(0)),
         doubted="roll_dynamics",
         rounds=[rows],
+        features=[],
     )
     for stage, told in (("chassis", True), ("drive", False)):
         monkeypatch.setattr("racerl.gap.verdict.touched", lambda *_, stage=stage: [stage])
@@ -831,7 +834,10 @@ def test_what_would_explain_much_but_not_clearly_is_told(monkeypatch):
     row = SimpleNamespace(name="tyre_heating", explained=0.44, gain=28.0, error=10.0, clear=False, found=None)
     row.found = found = SimpleNamespace(vehicle=None)
     score = Score([], np.zeros((0, 0)), np.zeros(0))
-    decision = SimpleNamespace(chosen=[], found=found, noise={"chassis": 1e5}, score=score, doubted="", rounds=[[row]])
+    decision = SimpleNamespace(
+        chosen=[], found=found, noise={"chassis": 1e5}, score=score, doubted="", rounds=[[row]], features=[]
+    )
+    monkeypatch.setattr("racerl.gap.verdict.unlisted", lambda *_: 0.9)
     said = "; tyre_heating would take 44% of it, by 2.8 standard errors, and a name takes 3"
     for changes, told in (({}, True), ({"explained": 0.1}, False), ({"gain": -1.0}, False)):
         decision.rounds = [[SimpleNamespace(**{**vars(row), **changes})]]
@@ -841,6 +847,27 @@ def test_what_would_explain_much_but_not_clearly_is_told(monkeypatch):
         assert reason.endswith(said) == told
     monkeypatch.setattr("racerl.gap.verdict.touched", lambda *_: ["drive"])
     assert said not in judge(SimpleNamespace(shaped=False, chance={"chassis": 0.005}), decision).reason
+
+
+@pytest.mark.parametrize(
+    ("left", "chance", "kind", "said"),
+    [
+        ({"drive": 2e3, "chassis": 2e4}, 0.4, "none", "excess of 20% over the noise's cost, as clean cars"),
+        ({"drive": 2e3, "chassis": 2e4}, 0.6, "unknown", "the chassis stage has an excess of 20%"),
+        ({"drive": 8e3, "chassis": 2e4}, 0.4, "unknown", "the drive stage has an excess of 8%"),  # no tyre's, no pose's
+        ({"drive": 2e3, "chassis": 2e3}, 0.6, "none", "reaches the noise"),  # chance, whatever the rule says
+    ],
+)
+def test_the_calibrated_rule_tells_a_clean_foreign_car_from_an_unknown_effect(monkeypatch, left, chance, kind, said):
+    monkeypatch.setattr("racerl.gap.verdict.fitted", lambda *_: (left, left))
+    monkeypatch.setattr("racerl.gap.verdict.unlisted", lambda *_: chance)
+    score = Score([], np.zeros((0, 0)), np.zeros(0))
+    found = SimpleNamespace(vehicle=None)
+    decision = SimpleNamespace(
+        chosen=[], found=found, noise=dict.fromkeys(left, 1e5), score=score, doubted="", rounds=[], features=[]
+    )
+    verdict = judge(SimpleNamespace(shaped=True, chance=dict.fromkeys(left, 0.005)), decision)
+    assert verdict.kind == kind and said in verdict.reason
 
 
 @pytest.mark.parametrize(
