@@ -67,7 +67,7 @@ class Gap:
             if self.calibration and (out / NAME).is_file():
                 rows[-1]["rounds"] = read_json(out / NAME)["rounds"]
                 cases.append(_case(rows[-1]["truth"], rows[-1]["rounds"]))
-                groups.append(f"{key.get('tyre')}, {key.get('slip')}")
+                groups.append(kind_of_car(key))
         if self.calibration:
             source = {
                 "keys_sha256": content_hash(folder / "keys.json"),
@@ -86,6 +86,12 @@ class Gap:
                 "confusion": confusion(rows),
             }
         }
+
+
+def kind_of_car(key: dict[str, Any]) -> str:
+    """Return a car's tyre, the speed that its slips are over, and what its sensors do, if anything, beside noise."""
+    sensors = key.get("sensors", "ideal")
+    return ", ".join([str(key.get("tyre")), str(key.get("slip")), *([sensors] if sensors != "ideal" else [])])
 
 
 def _case(hidden: Iterable[str], rounds: Sequence[dict[str, Any]]) -> Case:

@@ -10,6 +10,7 @@ from racerl.bench.gap import (
     confusion,
     detection,
     honest,
+    kind_of_car,
     outcome,
     probabilities,
     right,
@@ -146,6 +147,13 @@ def test_probabilities_are_scored_by_how_often_they_are_right(monkeypatch):
     assert (found["one_cases"], found["one_covered"], found["one_size"]) == (2, 1.0, 2.0)
     assert probabilities([case([], "none", kind="clean")]) == {}
     assert probabilities([case([], "none", kind="clean", hypotheses=[((), 1.0)])])["one_covered"] is None
+
+
+def test_cars_with_other_sensors_are_of_another_kind():
+    """Rules are judged on a kind of car that they were not fitted to; keys of before know of no sensors."""
+    key = {"tyre": "brush", "slip": "surface"}
+    assert kind_of_car(key) == kind_of_car({**key, "sensors": "ideal"}) == "brush, surface"
+    assert kind_of_car({**key, "sensors": "bent"}) == "brush, surface, bent"
 
 
 def test_a_rule_is_fitted_to_what_the_rounds_of_cases_saw():
