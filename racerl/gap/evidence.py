@@ -1,6 +1,6 @@
 """What a log says about one stage: equal windows with inputs at any shift in time, and each channel's noise."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -27,6 +27,9 @@ SLOPE = 7  # samples that a condition's slope is taken over
 QUIET, PART = 2.0, 50  # most mean square over so many samples, in that of the noise, that smoothing may take away
 LOCAL, ORDER = 11, 4  # samples and order of the local polynomials that tell noise from motion
 TOP, WHITE = 6, 0.9  # order of the differences that show noise near the Nyquist frequency; its least share if white
+THINNED = 5  # most samples, of which one is taken where a filter has made neighbours alike
+NEARLY = 0.7  # that share in the noise of samples that are taken
+LEAST = 1e-9  # deviation of a noise at least
 STILL = 1e-6  # rad or rad/s, deviation of an actuator from a command that never changes
 COMMANDS = ("delta_ref", "omega_ref")
 INSTEAD = {"delta": "delta_ref", "omega": "omega_ref"}  # where an actuator that was not measured may be
@@ -241,11 +244,16 @@ class Evidence:
         return {}
 
     def _noise_in(self, column: Array) -> float:
-        """Return the noise of a column, every run weighted by the samples that its local polynomials leave free."""
-        parts = [column[run] for run in self.runs]
-        free = np.array([max(len(part) - LOCAL, 0) for part in parts])
-        squares = np.array([_spread(part) ** 2 for part in parts])
-        return max(float(np.sqrt(squares @ free / max(free.sum(), 1))), 1e-9)
+        """Return the noise of a column.
+
+        Filters take away what is fast, and noise shows there alone. So of the samples one in so few is taken that the
+        noise is white; where it never is, for the motion is as fast, the noise may be larger than what is told.
+        """
+        for step in range(1, THINNED + 1):
+            parts = [column[run][begin::step] for run in self.runs for begin in range(step)]
+            if _mean(parts, _fast) > NEARLY * (noise := _mean(parts, _spread)):
+                return max(noise, LEAST)
+        return max(_mean([column[run] for run in self.runs], _spread), LEAST)
 
 
 def contradictory(logs: Sequence[Log]) -> bool:
@@ -278,10 +286,22 @@ def _quiet(lost: Array, noise: float) -> bool:
     return bool(((parts**2).mean(axis=1) < QUIET * noise**2).all())
 
 
+def _mean(parts: Sequence[Array], deviation: Callable[[Array], float]) -> float:
+    """Return the root mean square of some parts' deviations, weighted by what local polynomials leave free."""
+    free = np.array([max(len(part) - LOCAL, 0) for part in parts])
+    squares = np.array([deviation(part) ** 2 for part in parts])
+    return float(np.sqrt(squares @ free / max(free.sum(), 1)))
+
+
 def _whiteness(column: Array) -> float:
     """Return a channel's noise near the Nyquist frequency in that of all that is fast: one if it is white."""
+    return _fast(column) / max(_spread(column), 1e-12)
+
+
+def _fast(column: Array) -> float:
+    """Return the standard deviation that white noise would have, by what is near the Nyquist frequency."""
     top = np.diff(column, TOP) / np.sqrt(comb(2 * TOP, TOP))
-    return _deviation(top) / max(_spread(column), 1e-12) if len(top) else 0.0
+    return _deviation(top) if len(top) else 0.0
 
 
 def _spread(column: Array) -> float:
