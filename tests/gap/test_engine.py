@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from scipy.signal import butter, filtfilt
 
 from racerl.estimation.pseudo_huber import pseudo_huber, slope
 from racerl.estimation.unknowns import Unknown, choose_unknowns
@@ -106,6 +107,27 @@ def test_the_noise_of_a_log_in_fragments_is_that_of_its_long_runs(clean):
     assert Evidence.of([log], STEERING, 40, 0.5).noise()[0] == pytest.approx(0.002, rel=0.1)
     short = dataclasses.replace(log, table=log.table[runs > 0])
     assert Evidence.of([short], STEERING, 40, 0.5).noise()[0] == 1e-9
+
+
+@pytest.mark.parametrize("cut_off", [20.0, 15.0, 12.0])
+def test_the_noise_of_a_filtered_channel_is_what_the_filter_left(clean, cut_off):
+    """Above a filter's cut-off there is no noise to be seen, and motion hides it below; a seventh was told before."""
+    chassis = Evidence.of([clean], CHASSIS, 40, 0.5)
+    b, a = butter(2, cut_off, fs=100.0)
+    kept = float(np.std(filtfilt(b, a, np.random.default_rng(0).standard_normal(100_000))))
+    columns = dict(chassis.columns)
+    for name in chassis.observed:
+        columns[name] = np.concatenate([filtfilt(b, a, columns[name][run]) for run in chassis.runs])
+    found = dataclasses.replace(chassis, columns=columns).noise() / chassis.noise()
+    assert found == pytest.approx(np.full(3, kept), rel=0.2)
+
+
+def test_motion_that_is_faster_than_samples_taken_is_no_noise(clean):
+    """Without noise no sample more is left out: what local polynomials do not follow is the motion's."""
+    chassis = Evidence.of([clean], CHASSIS, 40, 0.5)
+    t = chassis.columns["t"]
+    moved = dataclasses.replace(chassis, columns={**chassis.columns, "yaw_rate": np.sin(2 * np.pi * 4.0 * t)})
+    assert moved.noise_of(["yaw_rate"])[0] < 1e-3
 
 
 def test_filtered_sensors_are_told_from_noisy_ones(clean):
