@@ -1,12 +1,12 @@
 """Fitting the rule of `hypotheses` to diagnoses of simulated cars whose effects are known."""
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
+from scipy.stats import binom
 
 from racerl.gap.hypotheses import (
     CANDIDATE,
@@ -27,6 +27,7 @@ from racerl.gap.hypotheses import (
 Array = NDArray[np.float64]
 WIDE = 3.0  # deviation of the weights' priors
 BINS = 5  # of probabilities
+TRUST = 0.9  # probability that sets hold the truth as often as they should
 DRAWS = 2000  # of what was hidden, by the probabilities told
 
 
@@ -109,13 +110,15 @@ def checked(cases: Sequence[Case], groups: Sequence[str]) -> tuple[float, Check]
 
 
 def conformal(told: Sequence[Sequence[Hypothesis]], truths: Sequence[tuple[str, ...]]) -> float:
-    """Return from which probability on sets hold the truth in LEVEL of further cars that lack one effect.
+    """Return from which probability on sets hold the truth in LEVEL or more of further cars that lack one effect.
 
-    It is the largest that the truth of ⌈(n + 1) LEVEL⌉ of these n cars was told with; 0 where they are too few.
+    TRUST is how sure that is, by these n cars alone: k of them may be missed where so few, or fewer, would be with a
+    chance of 1 − TRUST at most if 1 − LEVEL of all cars were. 0 where they are too few. Source: Vovk, "Conditional
+    validity of inductive conformal predictors", 2012.
     """
     found = sorted(_told_with(each, truth) for each, truth in zip(told, truths, strict=True) if _is_one(truth))
-    missed = len(found) - math.ceil((len(found) + 1) * LEVEL)
-    return found[missed] if missed >= 0 else 0.0
+    missed = np.flatnonzero(binom.cdf(np.arange(len(found)), len(found), 1.0 - LEVEL) <= 1.0 - TRUST)
+    return found[missed[-1]] if len(missed) else 0.0
 
 
 def _told_with(told: Sequence[Hypothesis], truth: tuple[str, ...]) -> float:

@@ -28,7 +28,7 @@ SMALL = 0.02  # of the noise's cost: an excess below it counts as none
 CALIBRATION = Path(__file__).with_name("calibration.json")
 LARGE = 1.0  # of the noise's cost: an excess beyond it is no tyre's, whatever its formula
 LEAST = 1.0  # squared deviation, as which an error counts at least
-LEVEL = 0.95  # share of cars that lack one effect, whose set of hypotheses holds it
+LEVEL = 0.95  # share of cars that lack one effect, whose set of hypotheses holds it at least
 RAREST = 0.005  # probability below which a hypothesis is not told
 
 
@@ -93,8 +93,8 @@ def calibrated_least() -> float:
 def credible(told: Sequence[Hypothesis], least: float) -> list[Hypothesis]:
     """Return the set of hypotheses, most probable first: those with a probability of `least` or more, and the first.
 
-    Where simulated cars with one effect say how small that has to be, the set holds the truth in LEVEL of such cars
-    (split conformal prediction; of all sets that do, these are the smallest in the mean: Sadinle, Lei, Wasserman 2019).
+    Where simulated cars with one effect say how small that has to be, the set holds the truth in LEVEL of such cars or
+    more (conformal prediction; of all sets that do, these are the smallest in the mean: Sadinle, Lei, Wasserman 2019).
     """
     return [each for number, each in enumerate(told) if number == 0 or each.probability >= least]
 

@@ -114,14 +114,14 @@ def test_sets_hold_one_effect_as_often_as_they_should_in_cars_not_seen():
             truths.append(("abcd"[generator.choice(4, p=np.sqrt(p) / np.sqrt(p).sum())],))
         return rows, truths
 
-    for _ in range(40):
+    for _ in range(100):
         least = conformal(*drawn_at_random(100))
-        levels.append(compared(*drawn_at_random(400), least).one_covered)
-    assert np.mean(levels) == pytest.approx(0.95, abs=0.015)
-    rows, truths = drawn_at_random(30)
-    assert conformal(rows[:18], truths[:18]) == 0.0 < conformal(rows[:19], truths[:19]), "of 18 none may be missed"
+        levels.append(compared(*drawn_at_random(1000), least).one_covered)
+    assert np.mean(np.array(levels) > 0.94) > 0.85 and 0.96 < np.mean(levels) < 0.985
+    rows, truths = drawn_at_random(60)
+    assert conformal(rows[:44], truths[:44]) == 0.0 < conformal(rows[:45], truths[:45]), "of 44 none may be missed"
     assert conformal(rows, [("elsewhere",), *truths[1:]]) == 0.0, "what was not told needs all that was"
-    assert conformal(rows, [("a", "b")] * 30) == 0.0, "of cars that lack one effect"
+    assert conformal(rows, [("a", "b")] * 60) == 0.0, "of cars that lack one effect"
 
 
 def test_groups_are_judged_by_rules_of_others():
