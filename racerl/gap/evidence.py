@@ -27,8 +27,8 @@ SLOPE = 7  # samples that a condition's slope is taken over
 QUIET, PART = 2.0, 50  # most mean square over so many samples, in that of the noise, that smoothing may take away
 LOCAL, ORDER = 11, 4  # samples and order of the local polynomials that tell noise from motion
 TOP, WHITE = 6, 0.9  # order of the differences that show noise near the Nyquist frequency; its least share if white
-THINNED = 5  # most samples, of which one is taken where a filter has made neighbours alike
-NEARLY = 0.7  # that share in the noise of samples that are taken
+THINNED = 5  # one sample of so many is taken at least, where a filter has made neighbours alike
+NEARLY = 0.7  # that share, of thinned samples
 LEAST = 1e-9  # deviation of a noise at least
 STILL = 1e-6  # rad or rad/s, deviation of an actuator from a command that never changes
 COMMANDS = ("delta_ref", "omega_ref")
@@ -246,14 +246,14 @@ class Evidence:
     def _noise_in(self, column: Array) -> float:
         """Return the noise of a column.
 
-        Filters take away what is fast, and noise shows there alone. So of the samples one in so few is taken that the
-        noise is white; where it never is, for the motion is as fast, the noise may be larger than what is told.
+        Filters take away what is fast, and noise shows there alone. So samples are thinned until what is fast in them is
+        white; where it never is, for the motion is as fast, the noise may be larger than what is told.
         """
         for step in range(1, THINNED + 1):
             parts = [column[run][begin::step] for run in self.runs for begin in range(step)]
-            if _mean(parts, _fast) > NEARLY * (noise := _mean(parts, _spread)):
+            if _pooled(parts, _fast) > NEARLY * (noise := _pooled(parts, _spread)):
                 return max(noise, LEAST)
-        return max(_mean([column[run] for run in self.runs], _spread), LEAST)
+        return max(_pooled([column[run] for run in self.runs], _spread), LEAST)
 
 
 def contradictory(logs: Sequence[Log]) -> bool:
@@ -286,7 +286,7 @@ def _quiet(lost: Array, noise: float) -> bool:
     return bool(((parts**2).mean(axis=1) < QUIET * noise**2).all())
 
 
-def _mean(parts: Sequence[Array], deviation: Callable[[Array], float]) -> float:
+def _pooled(parts: Sequence[Array], deviation: Callable[[Array], float]) -> float:
     """Return the root mean square of some parts' deviations, weighted by what local polynomials leave free."""
     free = np.array([max(len(part) - LOCAL, 0) for part in parts])
     squares = np.array([deviation(part) ** 2 for part in parts])
