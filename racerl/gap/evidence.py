@@ -246,8 +246,8 @@ class Evidence:
     def _noise_in(self, column: Array) -> float:
         """Return the noise of a column.
 
-        Filters take away what is fast, and noise shows there alone. So samples are thinned until what is fast in them is
-        white; where it never is, for the motion is as fast, the noise may be larger than what is told.
+        Filters take away what is fast, and noise shows there alone. So samples are thinned until what is fast in them
+        is white; where it never is, for the motion is as fast, the noise may be larger than what is told.
         """
         for step in range(1, THINNED + 1):
             parts = [column[run][begin::step] for run in self.runs for begin in range(step)]
