@@ -74,6 +74,8 @@ def _without_effects(investigation: Investigation, decision: Decision, before: C
     if stage:
         left = f"an excess of {_noises(first)}"
         reason += f"the refitted vehicle leaves {left}, as clean cars with other tyres or sensors do"
+    elif investigation.shaped:
+        reason += f"the refitted vehicle comes within {FOREIGN:.0%} of the sensors' noise"
     else:
         reason += "the refitted vehicle reaches the noise"
     return Verdict("none", (), (), blind, reason)
@@ -194,8 +196,7 @@ def open_stage(
         if among is not None and name not in among:
             continue
         left, first = after[name] / noise, before[name] / noise
-        foreign = decision.chosen and investigation.shaped and name == TYRES
-        real = max(FOREIGN if foreign else REAL, CHANCE * investigation.chance[name])
+        real = max(_real(investigation, name), CHANCE * investigation.chance[name])
         if decision.chosen and _coarse(investigation, decision, name, after[name]):
             continue
         if left > real + _may_stay(investigation, decision, name) * first and left > worst[1]:
