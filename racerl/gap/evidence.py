@@ -28,7 +28,7 @@ QUIET, PART = 2.0, 50  # most mean square over so many samples, in that of the n
 LOCAL, ORDER = 11, 4  # samples and order of the local polynomials that tell noise from motion
 TOP, WHITE = 6, 0.9  # order of the differences that show noise near the Nyquist frequency; its least share if white
 THINNED = 5  # one sample of so many is taken at least, where a filter has made neighbours alike
-NEARLY = 0.7  # that share, of thinned samples
+NEARLY = 0.7  # that share, from which on no more samples are left out
 LEAST = 1e-9  # deviation of a noise at least
 STILL = 1e-6  # rad or rad/s, deviation of an actuator from a command that never changes
 COMMANDS = ("delta_ref", "omega_ref")
@@ -249,11 +249,13 @@ class Evidence:
         Filters take away what is fast, and noise shows there alone. So samples are thinned until what is fast in them
         is white; where it never is, for the motion is as fast, the noise may be larger than what is told.
         """
+        found: list[float] = []
         for step in range(1, THINNED + 1):
             parts = [column[run][begin::step] for run in self.runs for begin in range(step)]
-            if _pooled(parts, _fast) > NEARLY * (noise := _pooled(parts, _spread)):
-                return max(noise, LEAST)
-        return max(_pooled([column[run] for run in self.runs], _spread), LEAST)
+            found.append(max(_pooled(parts, _spread), LEAST))
+            if _pooled(parts, _fast) > NEARLY * found[-1]:
+                return found[-1]
+        return found[0]
 
 
 def contradictory(logs: Sequence[Log]) -> bool:

@@ -18,8 +18,8 @@ from tests.gap.plant.effects.base import GRAVITY, Effect
 from tests.gap.plant.families import MAGIC_FORMULA, forces_of
 from tests.gap.plant.tyre import Array, Curves, Tyre
 
-TRACK_WIDTH = 0.2  # m, of the two-track car
-COG_HEIGHT: dict[str, float] = {"four_wheels": 0.0, "two_track": 0.07}  # m, of cars with two wheels on an axle
+TRACK_WIDTH = 0.2  # m, of cars with two wheels on an axle
+COG_HEIGHT: dict[str, float] = {"four_wheels": 0.0, "two_track": 0.07}  # m, of the same
 STRUCTURES = ("single_track", *COG_HEIGHT)
 N_BODY = 8  # rows of the state that every car has
 HOOKS = (
