@@ -17,19 +17,19 @@ from racerl.data.log import POSE, Log, separate
 from racerl.documents import conf_folder, write_json, write_text
 from racerl.estimation.unknowns import HELD, choose_unknowns
 from racerl.gap import residual
-from racerl.gap.any_tyre import shape_of
 from racerl.gap.catalogue import of_the_world, starts
 from racerl.gap.checkpoint import Checkpoint
 from racerl.gap.decision import Decision
 from racerl.gap.evidence import COMMANDS, Evidence, channels_of
 from racerl.gap.fitted_model import COG, FittedModel
 from racerl.gap.hypotheses import Hypothesis, calibrated, calibrated_least, credible, hypotheses
-from racerl.gap.investigation import SHAPE, Investigation, investigate
+from racerl.gap.investigation import Investigation, investigate
 from racerl.gap.locate import locate
 from racerl.gap.naming import name_effects
 from racerl.gap.numbers import as_configured, wrong_numbers
 from racerl.gap.progress import OnProgress, silent, within
 from racerl.gap.prove import prove
+from racerl.gap.shapes import said_of, shapes_of
 from racerl.gap.stage import CHAIN, TYRES, Stage, stages
 from racerl.gap.uncertainty import FAR, deviations, intervals, moved, possible_cars
 from racerl.gap.verdict import CLAIMS, Verdict, judge, proved, separable
@@ -84,8 +84,7 @@ def gap(settings: Mapping[str, Any], out: Path, on_progress: OnProgress = silent
         whole = chain(logs, settings)
         missing = [name for name in COMMANDS if name not in channels_of(logs)]
         facts, found, investigation = _steps(investigation, whole, settings, folder.path, told, missing, on_progress)
-        if shape_of(found):
-            facts["remarks"].append(f"the tyres have another shape than their formula's: {MODEL} has it ({SHAPE})")
+        facts["remarks"] += [f"{said_of(name, found)}: {MODEL} has it ({name})" for name in shapes_of(found)]
         _write_vehicle(folder.path / MODEL, settings, facts, investigation, found)
         if found.problem.names:
             cars = possible_cars(investigation, found, settings["seed"])
@@ -368,7 +367,7 @@ def _write_vehicle(
             parameters[name] = {"ci95": row["ci95"], "identified": True, "unit": units[name].unit}
     added = {
         name: {key.rpartition(".")[2]: found.theta[key] for key in found.theta if key.startswith(f"effects.{name}.")}
-        for name in (*sorted(found.effects), *shape_of(found))
+        for name in (*sorted(found.effects), *shapes_of(found))
     }
     given = settings["vehicle"]
     vehicle = {**given, "effects": {**(given.get("effects") or {}), **added}}

@@ -19,7 +19,7 @@ from racerl.vehicle.effects import Effect
 from racerl.vehicle.vehicle import Vehicle
 
 Array = NDArray[np.float64]
-SHAPE = "tyre_shape"
+TYRE_SHAPE, DOUBLE_TRACK = "tyre_shape", "double_track"
 Folds = Mapping[str, NDArray[np.bool_]]  # the windows of every stage that a fold holds out
 
 
@@ -47,7 +47,7 @@ class Investigation(FitData):
     @property
     def shaped(self) -> bool:
         """Whether the vehicle's tyre is of another shape than its formula's."""
-        return SHAPE in self.vehicle.effects
+        return TYRE_SHAPE in self.vehicle.effects
 
     def cost(self, found: FittedModel, stage: str) -> Array:
         """Return a fit's cost per window of a stage; the nominal one where its effects do not touch it."""

@@ -2,12 +2,12 @@
 
 Round by round the effect that helps most on held-out windows is added, until none helps significantly, or simulated
 cars say that rather none is missing; then backward elimination judges every one again beside those found after it.
-Where a tyre of another shape than its formula's helps more than any, naming begins anew with that.
+Where a vehicle of another shape, a double track or tyres of another formula, helps more than any, naming begins anew
+with that.
 """
 
 from collections.abc import Mapping
 
-from racerl.gap.any_tyre import other_tyre
 from racerl.gap.candidates import add, converged
 from racerl.gap.comparison import CandidateScore, Judge, excess
 from racerl.gap.cross_validation import held_out
@@ -20,6 +20,7 @@ from racerl.gap.investigation import Investigation
 from racerl.gap.progress import OnProgress, silent, within
 from racerl.gap.score import Score, summed
 from racerl.gap.screening import Screened, gainful, hopeful, lost, scores, screen, shortlist
+from racerl.gap.shapes import other_shape
 
 ROUNDS = 4
 REVIEW = 0.9  # share of the naming behind which effects are judged again
@@ -43,8 +44,8 @@ def name_effects(investigation: Investigation, on_progress: OnProgress = silent)
         rows = _round(judge, decision, ahead, within(on_progress, *part))
         while rows and rows[0].needed and passes_less_noise(judge, decision, rows[0]):
             rows = judge.ranked(rows[1:], decision.cost)
-        if (tyre := other_tyre(judge, decision, rows)) is not None:
-            return name_effects(tyre, within(on_progress, part[1], 1.0))
+        if (shaped := other_shape(judge, decision, rows)) is not None:
+            return name_effects(shaped, within(on_progress, part[1], 1.0))
         decision.rounds.append(rows)
         decision.features.append(seen := features(judge, decision, rows))
         if not rows or not rows[0].needed:

@@ -21,7 +21,7 @@ from racerl.gap.comparison import BEHIND, CLEAR, FOREIGN, REAL, WORSE, Candidate
 from racerl.gap.decision import Decision
 from racerl.gap.fitted_model import touched
 from racerl.gap.hypotheses import calibrated, unlisted
-from racerl.gap.investigation import Investigation
+from racerl.gap.investigation import DOUBLE_TRACK, TYRE_SHAPE, Investigation
 from racerl.gap.score import Score
 from racerl.gap.sentences import listed
 from racerl.gap.stage import TYRES
@@ -36,6 +36,7 @@ COARSE = 30.0  # excess over the noise's cost, beyond which that of filtered sen
 TWINS = 0.95  # |cosine| above which a linear test cannot tell two effects apart
 MOST = 0.5  # share of the catalogue that a log must be able to show
 NEAR = 2.0  # times the noise, up to which a fold that is told little decides whether an error grows
+SHAPED = {DOUBLE_TRACK: "two wheels on an axle", TYRE_SHAPE: "a tyre shape that departs from its formula"}
 CLAIMS = ("named", "multiple", "ambiguous")
 STABLE, RARE = 0.8, 0.1  # shares of resamples in which a name comes out, and a rival in its place at least
 
@@ -69,7 +70,8 @@ def _without_effects(investigation: Investigation, decision: Decision, before: C
     if len(blind) > MOST * len(decision.score.names):
         reason = f"{len(blind)} of {len(decision.score.names)} effects would not show at their usual size"
         return Verdict("under_excited", (), (), blind, reason)
-    reason = "with a tyre shape that departs from its formula, " if investigation.shaped else ""
+    shapes = [said for name, said in SHAPED.items() if name in investigation.vehicle.effects]
+    reason = f"with {listed(shapes)}, " if shapes else ""
     stage, _, first = open_stage(investigation, decision, before, after, excused)
     if stage:
         left = f"an excess of {_noises(first)}"

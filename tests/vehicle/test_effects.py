@@ -11,6 +11,7 @@ from racerl.config import compose_settings
 from racerl.errors import ConfigError, VehicleError
 from racerl.vehicle import catalogue
 from racerl.vehicle.effects import Effect
+from racerl.vehicle.effects.double_track import DoubleTrack
 from racerl.vehicle.effects.learned_network import LearnedNetwork
 from racerl.vehicle.effects.learned_residual import LearnedResidual
 from racerl.vehicle.effects.tyre_shape import TyreShape
@@ -472,3 +473,71 @@ def test_a_tyres_shape_is_no_effect_of_the_catalogue_and_none_of_any_side():
     sides = torch.tensor([1.0, -1.0, -1.0, 1.0, -1.0, -1.0, -1.0, 1.0])[:, None]
     mirrored = car.derivative(sides * state, torch.tensor([[-1.0], [1.0]]) * command, TORCH)
     assert torch.allclose(mirrored, sides * car.derivative(state, command, TORCH), atol=1e-9)
+
+
+def wheel_by_wheel(car: Vehicle, state: torch.Tensor, width: float, ackermann: float) -> list[float]:
+    """Return F_x, F_y and M_z of four wheels by their places and speeds; what ω is ahead is an axle's."""
+    *_, v_x, v_y, r, delta, omega = state[:, 0].tolist()
+    weight = float(car.mass) * 9.81 / float(car.wheelbase)
+    total = [0.0, 0.0, 0.0]
+    for tyre, X, load, steered in (
+        (car.front, float(car.l_f), weight * float(car.l_r), True),
+        (car.rear, -float(car.l_r), weight * float(car.l_f), False),
+    ):
+        angle = delta if steered else 0.0
+        push = omega - (v_x * math.cos(angle) + (v_y + r * X) * math.sin(angle))
+        for Y in (0.5 * width, -0.5 * width):
+            ahead, aside = v_x - r * Y, v_y + r * X
+            rolling = ahead * math.cos(angle) + aside * math.sin(angle)
+            across = aside * math.cos(angle) - ahead * math.sin(angle)
+            across -= ackermann * r * Y * math.sin(angle)  # what its own steering angle takes away
+            F_x, F_y = (
+                0.5 * float(f) for f in tyre.forces(push / rolling, -across / rolling, load, car.friction, TORCH)
+            )
+            along, left = (
+                F_x * math.cos(angle) - F_y * math.sin(angle),
+                F_x * math.sin(angle) + F_y * math.cos(angle),
+            )
+            for i, part in enumerate((along, left, X * left - Y * along)):
+                total[i] += part
+    return total
+
+
+@pytest.mark.parametrize("ackermann", [0.0, 0.4, 1.0])
+def test_a_double_track_is_four_wheels(ackermann):
+    plain = make_car("vehicle=published")
+    car = dataclasses.replace(plain, effects={"double_track": DoubleTrack(track_width=0.2, ackermann=ackermann)})
+    state = states(plain, v_x=2.5, v_y=0.2, yaw_rate=3.0, delta=0.3, omega=2.7)
+    motion = car.motion(state)
+    forces = car.tyre_forces(car.slips(motion, TORCH), motion, TORCH)
+    wrench = car.wrench(forces, motion, TORCH)
+    found = [float(wrench.F_x + car.drag(motion.v_x, TORCH)), float(wrench.F_y), float(wrench.M_z)]
+    assert found == pytest.approx(wheel_by_wheel(car, state, 0.2, ackermann), rel=1e-6, abs=1e-6)
+    assert abs(found[2] - wheel_by_wheel(car, state, 0.0, ackermann)[2]) > 0.01  # N m
+
+
+def test_a_double_track_without_width_is_a_single_one_and_none_has_a_side():
+    plain = make_car("vehicle=published")
+    state, command = random_states(plain, 200)
+    single = dataclasses.replace(plain, effects={"double_track": DoubleTrack()})
+    assert torch.allclose(single.derivative(state, command, TORCH), plain.derivative(state, command, TORCH), atol=1e-9)
+    car = dataclasses.replace(plain, effects={"double_track": DoubleTrack(track_width=0.2, ackermann=0.3)})
+    sides = torch.tensor([1.0, -1.0, -1.0, 1.0, -1.0, -1.0, -1.0, 1.0])[:, None]
+    mirrored = car.derivative(sides * state, torch.tensor([[-1.0], [1.0]]) * command, TORCH)
+    assert torch.allclose(mirrored, sides * car.derivative(state, command, TORCH), atol=1e-9)
+    assert "double_track" not in catalogue.names()
+
+
+def test_wheels_on_one_circle_roll_without_scrubbing():
+    car = make_car("vehicle=published")
+    radius, speed = 1.0, 2.0  # of the rear axle's middle
+    delta = math.atan(float(car.wheelbase) / radius)
+    still = {"v_x": speed, "v_y": speed / radius * float(car.l_r), "yaw_rate": speed / radius, "delta": delta}
+    aside = {}
+    for ackermann in (0.0, 1.0):
+        on = dataclasses.replace(car, effects={"double_track": DoubleTrack(track_width=0.2, ackermann=ackermann)})
+        motion = on.motion(states(on, **still, omega=speed))
+        rolling = on.slips(motion, TORCH)._replace(kappa_f=torch.zeros(1), kappa_r=torch.zeros(1))
+        own = on.effects["double_track"]._side(1.0, on.tyre_forces(rolling, motion, TORCH), rolling, motion, TORCH)
+        aside[ackermann] = abs(float(own.F_yf))
+    assert aside[1.0] < 1e-6 and aside[0.0] > 1.0

@@ -1,31 +1,36 @@
-"""A tyre of another formula is a shape of the refit's tyre, and no effect."""
+"""A double track, and tyres of another formula, are shapes of the refit's vehicle, and no effects."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 
-import racerl.gap.any_tyre as any_tyre
+import racerl.gap.shapes as shapes
 from racerl.data.log import Log
-from racerl.gap.any_tyre import LARGE, shape_of
 from racerl.gap.diagnose import gap
-from racerl.gap.investigation import SHAPE
+from racerl.gap.investigation import DOUBLE_TRACK, TYRE_SHAPE
 from racerl.gap.naming import name_effects
+from racerl.gap.shapes import LARGE, said_of, shapes_of
 from racerl.gap.verdict import judge
+from racerl.vehicle.effects.double_track import DoubleTrack
 from racerl.vehicle.effects.tyre_shape import TyreShape
 from racerl.vehicle.load import load_vehicle
 from racerl.vehicle.parameter import values
 from tests.gap.conftest import configured, drive, investigate, settings_for
 from tests.gap.plant.__main__ import main as simulate
 
-WORDS = [f"+vehicle.effects.{SHAPE}.{name}={value}" for name, value in (("kappa", 0.1), ("alpha", 0.1))]
+WORDS = [f"+vehicle.effects.{TYRE_SHAPE}.{name}={value}" for name, value in (("kappa", 0.1), ("alpha", 0.1))]
+OTHER = [f"+vehicle.effects.{TYRE_SHAPE}.{name}" for name in ("aside_drive=-0.4", "aside_turn_drive=0.4")]
 
 
 @pytest.fixture(scope="module")
 def foreign():
     """A drive on tyres whose side force falls by 18 % where they are driven, and rises where they brake."""
-    return drive(*WORDS, f"+vehicle.effects.{SHAPE}.aside_drive=-0.4", f"+vehicle.effects.{SHAPE}.aside_turn_drive=0.4")
+    return drive(
+        *WORDS, f"+vehicle.effects.{TYRE_SHAPE}.aside_drive=-0.4", f"+vehicle.effects.{TYRE_SHAPE}.aside_turn_drive=0.4"
+    )
 
 
 @pytest.mark.slow
@@ -41,19 +46,19 @@ def test_a_foreign_tyre_is_a_shape_and_no_effect(foreign):
     decision = name_effects(plain)
     shaped = decision.investigation
     assert decision.chosen == [] and judge(shaped, decision).kind == "none"
-    assert shaped.shaped and shape_of(shaped.base) == [SHAPE] and shape_of(plain.base) == []
+    assert shaped.shaped and shapes_of(shaped.base) == [TYRE_SHAPE] and shapes_of(plain.base) == []
     cost = {name: each.base.cost["chassis"].sum() for name, each in (("plain", plain), ("shaped", shaped))}
     assert cost["plain"] > 1.1 * plain.floor["chassis"] and cost["shaped"] < 1.05 * shaped.floor["chassis"]
     # the vehicle as configured is the same, shape or not; slips count as large in proportion to its own
     assert replace(shaped.vehicle, effects={}) == plain.vehicle
     table = values(shaped.vehicle)
     slide = np.mean([table[f"{axle}.p_Dy1"] / table[f"{axle}.p_Ky1"] for axle in ("front", "rear")])
-    assert table[f"effects.{SHAPE}.alpha"] == pytest.approx(LARGE * table["friction"] * slide)
+    assert table[f"effects.{TYRE_SHAPE}.alpha"] == pytest.approx(LARGE * table["friction"] * slide)
 
 
 @pytest.mark.slow
 def test_no_shape_is_fitted_beside_an_effect_that_explains_all(damped, monkeypatch):
-    monkeypatch.setattr(any_tyre, "_fitted", lambda *_: pytest.fail("fitted"))
+    monkeypatch.setattr(shapes, "_fitted", lambda *_: pytest.fail("fitted"))
     assert name_effects(investigate(damped, "yaw_damping", "aero_drag")).chosen == ["yaw_damping"]
 
 
@@ -70,7 +75,7 @@ def test_a_clean_car_on_another_formulas_tyres_reaches_the_noise(tyre, slip, tmp
     assert plain.base.cost["chassis"].sum() > 1.1 * plain.floor["chassis"]
     assert shaped.base.cost["chassis"].sum() < 1.03 * shaped.floor["chassis"]
     over = {"larger": (0.3, 1.0), "surface": (0.8, 1.2)}[slip]  # 1 for the wheel's speed, less for the larger of both
-    assert over[0] < shaped.base.theta[f"effects.{SHAPE}.slip_drive"] < over[1]
+    assert over[0] < shaped.base.theta[f"effects.{TYRE_SHAPE}.slip_drive"] < over[1]
 
 
 @pytest.mark.slow
@@ -78,14 +83,13 @@ def test_the_shape_is_written_with_the_vehicle(foreign, tmp_path):
     facts = gap(settings_for(foreign, tmp_path, "yaw_damping"), tmp_path / "out")
     assert facts["effects"] == [] and facts["gap"]["after"] < 1.05
     effects = load_vehicle({"file": str(tmp_path / "out" / "model.yaml")}).effects
-    assert list(effects) == [SHAPE] and isinstance(effects[SHAPE], TyreShape)
-    assert effects[SHAPE].aside_drive != 0.0 and any(SHAPE in line for line in facts["remarks"])
+    assert list(effects) == [TYRE_SHAPE] and isinstance(effects[TYRE_SHAPE], TyreShape)
+    assert effects[TYRE_SHAPE].aside_drive != 0.0 and any(TYRE_SHAPE in line for line in facts["remarks"])
 
 
 @pytest.mark.slow
 def test_an_effect_is_found_beside_a_shape():
-    words = [f"+vehicle.effects.{SHAPE}.aside_drive=-0.4", f"+vehicle.effects.{SHAPE}.aside_turn_drive=0.4"]
-    log = drive(*WORDS, *words, "+vehicle/effect=yaw_damping", "vehicle.effects.yaw_damping.coefficient=0.3")
+    log = drive(*WORDS, *OTHER, "+vehicle/effect=yaw_damping", "vehicle.effects.yaw_damping.coefficient=0.3")
     decision = name_effects(investigate(log, "yaw_damping", "longitudinal_load_transfer", "aero_drag"))
     assert decision.investigation.shaped and decision.chosen == ["yaw_damping"]
     assert float(decision.found.vehicle.effects["yaw_damping"].coefficient) == pytest.approx(0.3, rel=0.1)
@@ -93,10 +97,42 @@ def test_an_effect_is_found_beside_a_shape():
 
 def test_a_vehicle_that_has_a_shape_keeps_it(foreign):
     shape = TyreShape(kappa=0.1, alpha=0.1, aside_drive=-0.4, aside_turn_drive=0.4)
-    vehicle = replace(configured()[0], effects={SHAPE: shape})
+    vehicle = replace(configured()[0], effects={TYRE_SHAPE: shape})
     investigation = investigate(foreign, "yaw_damping", vehicle=vehicle)
     decision = name_effects(investigation)
     assert investigation.shaped and decision.investigation is investigation and decision.chosen == []
-    assert list(decision.found.vehicle.effects) == [SHAPE]
-    fitted = decision.found.vehicle.effects[SHAPE]
+    assert list(decision.found.vehicle.effects) == [TYRE_SHAPE]
+    fitted = decision.found.vehicle.effects[TYRE_SHAPE]
     assert float(fitted.aside_drive) == pytest.approx(-0.4, rel=0.3) and fitted.kappa == shape.kappa
+
+
+@pytest.mark.slow
+def test_a_clean_car_with_four_wheels_is_a_double_track(tmp_path):
+    words = ["--set", "clean", "--programmes", "excitation", "--noises", "1", "--seed", "23", "--limit", "1"]
+    simulate([str(tmp_path), *words, "--structure", "four_wheels", "--sensors", "sparse", "--minutes", "5"])
+    (path,) = (tmp_path / "logs").iterdir()
+    plain = investigate(Log.from_table("four", pd.read_parquet(path)), "steering_nonlinearity", "locked_differential")
+    assert plain.base.cost["chassis"].sum() > 1.05 * plain.floor["chassis"]
+    decision = name_effects(plain)
+    verdict = judge(decision.investigation, decision)
+    assert decision.chosen == [] and verdict.kind == "none" and "two wheels on an axle" in verdict.reason
+    assert shapes_of(decision.found) == [DOUBLE_TRACK] and shapes_of(plain.base) == []
+    width = float(decision.found.vehicle.effects[DOUBLE_TRACK].track_width)
+    assert width == pytest.approx(0.2, rel=0.15) and f"{width:.2g} m apart" in said_of(DOUBLE_TRACK, decision.found)
+
+
+@pytest.mark.slow
+def test_an_effect_is_found_on_a_double_track():
+    wide = [f"+vehicle.effects.{DOUBLE_TRACK}.{name}" for name in ("track_width=0.3", "ackermann=0.0")]
+    log = drive(*wide, "+vehicle/effect=yaw_damping", "vehicle.effects.yaw_damping.coefficient=0.15", seconds=180.0)
+    decision = name_effects(investigate(log, "yaw_damping", "locked_differential", "steering_nonlinearity"))
+    assert decision.chosen == ["yaw_damping"] and shapes_of(decision.found) == [DOUBLE_TRACK]
+    assert float(decision.found.vehicle.effects["yaw_damping"].coefficient) == pytest.approx(0.15, rel=0.1)
+
+
+def test_a_shape_that_changes_nothing_is_none():
+    right = configured()[0]
+    wide, none = DoubleTrack(track_width=0.2), DoubleTrack(ackermann=1.0)
+    found = [SimpleNamespace(vehicle=replace(right, effects={DOUBLE_TRACK: each})) for each in (wide, none)]
+    assert [shapes_of(each) for each in found] == [[DOUBLE_TRACK], []]
+    assert shapes_of(SimpleNamespace(vehicle=right)) == []

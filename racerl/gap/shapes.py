@@ -1,0 +1,162 @@
+"""What the refit's vehicle may be that is no effect: a double track, on tyres of any formula.
+
+Every car has two wheels on an axle, and hardly any tyre is the Magic Formula. Where held-out windows ask for such a
+shape it belongs to the vehicle, and naming begins anew with it. Effects depend on time, place, side, load or history.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from racerl.estimation.unknowns import Unknown
+from racerl.gap.comparison import PARAMETER, REAL, CandidateScore, Judge, equals, excesses
+from racerl.gap.decision import Decision
+from racerl.gap.fit_data import kernels_of
+from racerl.gap.fitted_model import FittedModel, better_half_way, settled_fit, touched, with_effect
+from racerl.gap.investigation import DOUBLE_TRACK, TYRE_SHAPE, Investigation, investigation_of
+from racerl.gap.nominal import Nominal
+from racerl.gap.stage import TYRES
+from racerl.vehicle.effects import Effect
+from racerl.vehicle.effects.double_track import DoubleTrack
+from racerl.vehicle.effects.tyre_shape import TyreShape
+from racerl.vehicle.parameter import replace_values, specifications, values
+from racerl.vehicle.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+MOST = 0.5  # share of what is left that another tyre must explain
+SPREAD = 0.5  # deviation of the priors of a tyre shape's weights, and of Ackermann's share
+LARGE = 0.4  # of D/K, from which on a slip counts as large: where formulas differ (one simulated car on Dugoff tyres)
+WIDTH, VARIED = 0.6, 0.2  # of the wheelbase: a usual track width, and its deviation
+
+
+@dataclass(frozen=True)
+class Shape:
+    """One such shape: as it is where it changes nothing, and its unknowns, which start from usual values.
+
+    `least` is the share of what is left that it must explain to come first, and `common`: as well as others is enough.
+    """
+
+    name: str
+    neutral: Callable[[Vehicle], Effect]
+    unknowns: Callable[[Vehicle], list[Unknown]]
+    least: float
+    common: bool
+
+
+def other_shape(judge: Judge, decision: Decision, rows: Sequence[CandidateScore]) -> Investigation | None:
+    """Return the investigation of a vehicle of another shape where that comes before a round's candidates; else None.
+
+    A shape is a candidate that must explain its least share of what is left or, beside effects found, its parameters'
+    shares of the first excess: by itself a tyre would take a part of an effect that has no name. It is not fitted
+    beside an effect that it cannot come before.
+    """
+    plain = judge.investigation
+    if TYRES not in decision.cost:
+        return None
+    best = [row for row in rows[:1] if row.needed]
+    if not best and excesses(plain, decision.cost, decision.noise)[TYRES] < REAL * decision.noise[TYRES]:
+        return None
+    for shape in SHAPES:
+        if shape.name not in plain.vehicle.effects and (found := _before(judge, decision, best, shape)) is not None:
+            return found
+    return None
+
+
+def _before(judge: Judge, decision: Decision, best: Sequence[CandidateScore], shape: Shape) -> Investigation | None:
+    """Return the investigation of a vehicle of this shape if that comes before the best candidate of a round."""
+    plain = judge.investigation
+    unknowns = shape.unknowns(plain.vehicle)
+    size = len(unknowns)
+    if any(TYRES not in row.cost or row.explained > 1.0 - PARAMETER * max(size - row.size, 0) for row in best):
+        return None
+    shaped = _with(plain, shape, unknowns)
+    model = _fitted(shaped, decision.found, unknowns)
+    row = replace(judge, investigation=shaped).score(shape.name, model, decision)
+    worth = bool(decision.chosen) and row.worth >= PARAMETER * size
+    if not row.clear or not (worth or row.explained >= shape.least):
+        return None
+    first, *others = judge.ranked([*best, row], decision.cost)
+    alike = equals([first, *others]) if shape.common else []
+    if shape.name not in (each.name for each in (first, *alike)):
+        return None
+    return _settled(shaped, model if not decision.chosen else _fitted(shaped, plain.base, unknowns))
+
+
+def shapes_of(found: FittedModel) -> list[str]:
+    """Return the names of the shapes that change a fitted vehicle."""
+    return [shape.name for shape in SHAPES if shape.name in found.vehicle.effects and _changes(shape, found.vehicle)]
+
+
+def said_of(name: str, found: FittedModel) -> str:
+    """Return what a fitted vehicle's shape is, in words."""
+    if name == TYRE_SHAPE:
+        return "the tyres have another shape than their formula's"
+    return f"two wheels on an axle, {found.theta[f'effects.{name}.track_width']:.2g} m apart, fit better than one"
+
+
+def _changes(shape: Shape, vehicle: Vehicle) -> bool:
+    own, neutral = vehicle.effects[shape.name], shape.neutral(vehicle)
+    return any(getattr(own, f.name) != getattr(neutral, f.name) for f in fields(neutral) if f.name not in own.known)
+
+
+def _with(plain: Investigation, shape: Shape, unknowns: Sequence[Unknown]) -> Investigation:
+    """Return the investigation of a vehicle with a shape that changes nothing yet, and its unknowns."""
+    vehicle = with_effect(plain.vehicle, shape.name, shape.neutral(plain.vehicle))
+    every = [*plain.unknowns, *unknowns]
+    kernels = kernels_of(plain.evidence, vehicle, every, plain.catalogue)
+    return replace(plain, vehicle=vehicle, unknowns=every, kernels=kernels)
+
+
+def _fitted(shaped: Investigation, found: FittedModel, unknowns: Sequence[Unknown]) -> FittedModel:
+    """Return a fit of the shape from where a fit without it stands, over the stages that they touch."""
+    vehicle = found.vehicle
+    for name in shaped.vehicle.effects.keys() - vehicle.effects.keys():
+        vehicle = with_effect(vehicle, name, shaped.vehicle.effects[name])
+    vehicle = replace_values(vehicle, {unknown.name: unknown.start for unknown in unknowns})
+    stages = [TYRES, *touched(shaped, vehicle, found.effects)] if found.effects else list(shaped.evidence)
+    fitted = settled_fit(shaped, found.effects, vehicle, found, stages=list(dict.fromkeys(stages)))
+    return better_half_way(shaped, fitted)
+
+
+def _settled(shaped: Investigation, model: FittedModel) -> Investigation:
+    """Return the investigation by a nominal fit with the shape."""
+    data = replace(shaped, strength=model.strength)
+    return investigation_of(data, Nominal(model, shaped.nominal.met_twice), shaped.folds, shaped.seed)
+
+
+def _formula(vehicle: Vehicle) -> TyreShape:
+    """Return the formula's own shape; large are slips from a share of where straight lines reach the peak."""
+    table = values(vehicle)
+    slip = {
+        key: np.mean([table[f"{axle}.p_D{way}1"] / table[f"{axle}.p_K{way}1"] for axle in ("front", "rear")])
+        for key, way in (("kappa", "x"), ("alpha", "y"))
+    }
+    return TyreShape(**{key: float(LARGE * table["friction"] * each) for key, each in slip.items()})
+
+
+def _weights(vehicle: Vehicle) -> list[Unknown]:
+    known = specifications(with_effect(vehicle, TYRE_SHAPE, _formula(vehicle)))
+    names = [name for name in known if name.startswith(f"effects.{TYRE_SHAPE}.")]
+    free = [name for name in names if name.rpartition(".")[2] not in TyreShape.known]
+    return [Unknown(name, 0.0, SPREAD, known[name].low, known[name].high) for name in free]
+
+
+def _single_track(vehicle: Vehicle) -> DoubleTrack:
+    return DoubleTrack(track_width=0.0)
+
+
+def _wheels(vehicle: Vehicle) -> list[Unknown]:
+    """Return track width and Ackermann's share; a car is no wider than long."""
+    wheelbase, key = float(vehicle.wheelbase), f"effects.{DOUBLE_TRACK}"
+    return [
+        Unknown(f"{key}.track_width", WIDTH * wheelbase, VARIED * wheelbase, 0.0, wheelbase),
+        Unknown(f"{key}.ackermann", 0.5, SPREAD, 0.0, 1.0),
+    ]
+
+
+SHAPES = (
+    Shape(DOUBLE_TRACK, _single_track, _wheels, 0.0, common=True),
+    Shape(TYRE_SHAPE, _formula, _weights, MOST, common=False),
+)

@@ -1,0 +1,71 @@
+"""Two wheels on each axle, which turn freely of each other, in place of one in the middle.
+
+Formula: the wheels of an axle stand w/2 to its left and right. They roll at V ∓ w r cos δ/2 where the middle rolls at V
+    (δ = 0 at the rear), so that slips become κ V/(V ∓ w r cos δ/2) and (α* V ∓ (1 − A) w r sin δ/2)/(V ∓ w r cos δ/2):
+    with A = 1 the front wheels stand on one circle (Ackermann), with A = 0 they are parallel. Each wheel has half of
+    its axle's load and force; M_z ← M_z − (w/4) Σ_axles (F_left − F_right), F along the car.
+Source: the double-track model with open differentials and without load transfer: geometry.
+In data: tight turns, where the inner wheels slip more than the outer ones; power on resists turning.
+Excited by: tight turns at low speed, power on and off.
+Confused with: nothing that depends on time, place, side or load.
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
+
+from racerl.vehicle.effects import Effect
+from racerl.vehicle.ops import Ops, Scalar
+from racerl.vehicle.parameter import parameter
+
+if TYPE_CHECKING:
+    from racerl.vehicle.vehicle import Forces, Motion, Slips, Wrench
+
+
+class Side(NamedTuple):
+    """What both axles' tyres would do in N at the slips of the wheels of one side."""
+
+    F_xf: Scalar
+    F_yf: Scalar
+    F_xr: Scalar
+    F_yr: Scalar
+
+
+@dataclass(frozen=True, kw_only=True)
+class DoubleTrack(Effect):
+    """The mean of the wheels' forces, and their yaw moment, by the tyres' formulas."""
+
+    track_width: Scalar = parameter("m", 0.0, 3.0, "w, distance between left and right wheels", 0.0)
+    ackermann: Scalar = parameter("", 0.0, 1.0, "A, share of Ackermann's angle between the front wheels", 1.0)
+
+    physical: ClassVar[bool] = False
+
+    def tyre(self, forces: "Forces", slips: "Slips", motion: "Motion", ops: Ops) -> "Forces":
+        """Add by what the mean over an axle's wheels differs from a wheel in its middle."""
+        left, middle, right = (self._side(side, forces, slips, motion, ops) for side in (1.0, 0.0, -1.0))
+        return forces._replace(
+            **{
+                name: getattr(forces, name) + 0.5 * (one + other) - between
+                for name, one, between, other in zip(Side._fields, left, middle, right, strict=True)
+            }
+        )
+
+    def wrench(self, wrench: "Wrench", forces: "Forces", motion: "Motion", ops: Ops) -> "Wrench":
+        """Add the yaw moment of wheels that pull differently."""
+        car = motion.car
+        slips = car.slips_seen(car.slips(motion, ops), motion, ops)
+        left, right = (self._side(side, forces, slips, motion, ops) for side in (1.0, -1.0))
+        front = (left.F_xf - right.F_xf) * ops.cos(motion.delta) - (left.F_yf - right.F_yf) * ops.sin(motion.delta)
+        return wrench._replace(M_z=wrench.M_z - 0.25 * self.track_width * (front + left.F_xr - right.F_xr))
+
+    def _side(self, side: float, forces: "Forces", slips: "Slips", motion: "Motion", ops: Ops) -> Side:
+        """Return the forces at the slips of one side's wheels: 1 the left, −1 the right; 0 between them."""
+        car, apart = motion.car, 0.5 * side * self.track_width * motion.yaw_rate
+        friction, V_x = car.grip(motion, ops), car.front_velocity(motion, ops)[0]
+        V_f, V_r = car.slip_speed(V_x, ops), car.slip_speed(motion.v_x, ops)
+        front = V_f / car.slip_speed(V_x - apart * ops.cos(motion.delta), ops)
+        rear = V_r / car.slip_speed(motion.v_x - apart, ops)
+        alpha_f = slips.alpha_f - (1.0 - self.ackermann) * apart * ops.sin(motion.delta) / V_f
+        return Side(
+            *car.front.forces(slips.kappa_f * front, alpha_f * front, forces.F_zf, friction[0], ops),
+            *car.rear.forces(slips.kappa_r * rear, slips.alpha_r * rear, forces.F_zr, friction[1], ops),
+        )
