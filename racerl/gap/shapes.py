@@ -128,12 +128,12 @@ def _settled(shaped: Investigation, model: FittedModel) -> Investigation:
 
 def _formula(vehicle: Vehicle) -> TyreShape:
     """Return the formula's own shape; large are slips from a share of where straight lines reach the peak."""
-    table = values(vehicle)
-    slip = {
-        key: np.mean([table[f"{axle}.p_D{way}1"] / table[f"{axle}.p_K{way}1"] for axle in ("front", "rear")])
-        for key, way in (("kappa", "x"), ("alpha", "y"))
-    }
-    return TyreShape(**{key: float(LARGE * table["friction"] * each) for key, each in slip.items()})
+    table, slips = values(vehicle), {}
+    for axle in ("front", "rear"):
+        for slip, way in (("kappa", "x"), ("alpha", "y")):
+            reached = table["friction"] * table[f"{axle}.p_D{way}1"] / table[f"{axle}.p_K{way}1"]
+            slips[f"{slip}_{axle[0]}"] = LARGE * float(reached)
+    return TyreShape(**slips)
 
 
 def _weights(vehicle: Vehicle) -> list[Unknown]:

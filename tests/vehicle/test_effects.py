@@ -433,7 +433,8 @@ def test_what_is_learned_is_bounded_fades_where_nothing_was_seen_and_has_no_plac
     assert float(faded[:, away].abs().max()) < 1e-3
 
 
-SHAPE = TyreShape(kappa=0.05, alpha=0.1, ahead_turn=0.2, ahead_drive=0.1, aside_drive=-0.3, aside_turn=0.4)
+LARGE = {"kappa_f": 0.05, "alpha_f": 0.1, "kappa_r": 0.02, "alpha_r": 0.2}
+SHAPE = TyreShape(**LARGE, ahead_turn=0.2, ahead_drive=0.1, aside_drive=-0.3, aside_turn=0.4)
 
 
 def test_a_tyres_shape_multiplies_forces_by_its_factors():
@@ -442,16 +443,17 @@ def test_a_tyres_shape_multiplies_forces_by_its_factors():
     kappa, alpha = torch.tensor([0.05, 0.0, 0.0]), torch.tensor([0.0, 0.1, -10.0])
     motion = plain.motion(torch.zeros(8, 3))
     before, after = (each.tyre_forces(Slips(kappa, alpha, kappa, alpha), motion, TORCH) for each in (plain, car))
-    p, q = 1 / math.sqrt(2), torch.tensor([0.0, 0.5, 1.0])
+    p = 1 / math.sqrt(2)
     assert after.F_xf[0] / before.F_xf[0] == pytest.approx(1 + 0.5 * math.tanh(0.1 * p / 0.5))
-    ratio = after.F_yr[1:] / before.F_yr[1:]
-    assert torch.allclose(ratio, 1 + 0.5 * torch.tanh(0.4 * q[1:] / 0.5), rtol=1e-3)
+    for ratio, large in ((after.F_yf / before.F_yf, 0.1), (after.F_yr / before.F_yr, 0.2)):  # of each axle's own slips
+        q = (alpha[1:] / large) ** 2 / (1 + (alpha[1:] / large) ** 2)
+        assert torch.allclose(ratio[1:], 1 + 0.5 * torch.tanh(0.4 * q / 0.5), rtol=1e-6)
     assert (after.F_zf, after.F_zr) == (before.F_zf, before.F_zr)
 
 
 def test_a_tyres_shape_takes_slips_over_another_speed():
     plain, surface = (make_car("vehicle=published"), make_car("vehicle=published"))
-    surface = dataclasses.replace(surface, effects={"tyre_shape": TyreShape(kappa=0.05, alpha=0.1, slip_drive=1.0)})
+    surface = dataclasses.replace(surface, effects={"tyre_shape": TyreShape(slip_drive=1.0)})
     state, command = random_states(plain, 400)
     motion = plain.motion(state)
     slips = plain.slips(motion, TORCH)

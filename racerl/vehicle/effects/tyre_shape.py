@@ -1,4 +1,4 @@
-"""A tyre of another formula: smooth deviations of slips and forces from the Magic Formula's, alike on both axles.
+"""A tyre of another formula: smooth deviations of slips and forces from the Magic Formula's.
 
 Formula: κ e^{−c l} and α* e^{−c l} in place of κ and α*, with l = κ/√(1 + κ + κ²/2), which is near ln(1 + κ) and stays
     between −2 and √2: for c = 1 slips over the wheel's speed instead of the ground's. Then the forces
@@ -33,8 +33,10 @@ def _weight(meaning: str) -> Scalar:
 class TyreShape(Effect):
     """Weights, zero for the Magic Formula, and the slips at which a tyre is half-way to sliding."""
 
-    kappa: Scalar = parameter("", 1e-3, 1.0, "κ_0, slip ratio that counts as large", 0.1)
-    alpha: Scalar = parameter("", 1e-3, 1.0, "α_0, slip sideways that counts as large", 0.1)
+    kappa_f: Scalar = parameter("", 1e-3, 1.0, "κ_0 of the front tyres, slip ratio that counts as large", 0.1)
+    alpha_f: Scalar = parameter("", 1e-3, 1.0, "α_0 of the front tyres, slip sideways that counts as large", 0.1)
+    kappa_r: Scalar = parameter("", 1e-3, 1.0, "κ_0 of the rear tyres", 0.1)
+    alpha_r: Scalar = parameter("", 1e-3, 1.0, "α_0 of the rear tyres", 0.1)
     slip_drive: Scalar = _weight("c: slips when driving, less; when braking, more")
     ahead_drive: Scalar = _weight("a_1: F_x when driving, less when braking")
     ahead_slip: Scalar = _weight("a_2: F_x at slip ahead")
@@ -48,7 +50,7 @@ class TyreShape(Effect):
     aside_turn_2: Scalar = _weight("b_5: F_y at large slip sideways")
 
     physical: ClassVar[bool] = False
-    known: ClassVar[tuple[str, ...]] = ("kappa", "alpha")
+    known: ClassVar[tuple[str, ...]] = ("kappa_f", "alpha_f", "kappa_r", "alpha_r")
 
     def slip(self, slips: "Slips", motion: "Motion", ops: Ops) -> "Slips":
         """Take both axles' slips over another speed."""
@@ -57,8 +59,8 @@ class TyreShape(Effect):
 
     def tyre(self, forces: "Forces", slips: "Slips", motion: "Motion", ops: Ops) -> "Forces":
         """Multiply both axles' forces."""
-        ahead_f, aside_f = self._factors(slips.kappa_f, slips.alpha_f, ops)
-        ahead_r, aside_r = self._factors(slips.kappa_r, slips.alpha_r, ops)
+        ahead_f, aside_f = self._factors(slips.kappa_f / self.kappa_f, slips.alpha_f / self.alpha_f, ops)
+        ahead_r, aside_r = self._factors(slips.kappa_r / self.kappa_r, slips.alpha_r / self.alpha_r, ops)
         return forces._replace(
             F_xf=forces.F_xf * ahead_f,
             F_yf=forces.F_yf * aside_f,
@@ -66,8 +68,7 @@ class TyreShape(Effect):
             F_yr=forces.F_yr * aside_r,
         )
 
-    def _factors(self, kappa: Scalar, alpha: Scalar, ops: Ops) -> tuple[Scalar, Scalar]:
-        x, y = kappa / self.kappa, alpha / self.alpha
+    def _factors(self, x: Scalar, y: Scalar, ops: Ops) -> tuple[Scalar, Scalar]:
         size = ops.sqrt(1.0 + x * x + y * y)
         p, q = x / size, (y / size) * (y / size)
         ahead = self.ahead_drive * p + self.ahead_slip * p * p
