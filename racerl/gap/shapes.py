@@ -4,7 +4,7 @@ Every car has two wheels on an axle, and hardly any tyre is the Magic Formula. W
 shape it belongs to the vehicle, and naming begins anew with it. Effects depend on time, place, side, load or history.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -45,12 +45,23 @@ class Shape:
     common: bool
 
 
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A fit of a vehicle with further shapes, judged as a candidate; the rules are those of the last one of them."""
+
+    investigation: Investigation
+    shape: Shape
+    unknowns: list[Unknown]
+    found: FittedModel
+    row: CandidateScore
+
+
 def other_shape(judge: Judge, decision: Decision, rows: Sequence[CandidateScore]) -> Investigation | None:
     """Return the investigation of a vehicle of another shape where that comes before a round's candidates; else None.
 
     A shape is a candidate that must explain its least share of what is left or, beside effects found, its parameters'
     shares of the first excess: by itself a tyre would take a part of an effect that has no name. It is not fitted
-    beside an effect that it cannot come before.
+    beside an effect that it cannot come before. A tyre that helps, but not enough, may do so on a double track.
     """
     plain = judge.investigation
     if TYRES not in decision.cost:
@@ -58,30 +69,46 @@ def other_shape(judge: Judge, decision: Decision, rows: Sequence[CandidateScore]
     best = [row for row in rows[:1] if row.needed]
     if not best and excesses(plain, decision.cost, decision.noise)[TYRES] < REAL * decision.noise[TYRES]:
         return None
-    for shape in SHAPES:
-        if shape.name not in plain.vehicle.effects and (found := _before(judge, decision, best, shape)) is not None:
-            return found
+    for trial in _trials(judge, decision, best):
+        if _comes_before(judge, decision, best, trial):
+            return _settled(trial, plain.base if decision.chosen else None)
     return None
 
 
-def _before(judge: Judge, decision: Decision, best: Sequence[CandidateScore], shape: Shape) -> Investigation | None:
-    """Return the investigation of a vehicle of this shape if that comes before the best candidate of a round."""
-    plain = judge.investigation
-    unknowns = shape.unknowns(plain.vehicle)
-    size = len(unknowns)
-    if any(TYRES not in row.cost or row.explained > 1.0 - PARAMETER * max(size - row.size, 0) for row in best):
+def _trials(judge: Judge, decision: Decision, best: Sequence[CandidateScore]) -> Iterator[Trial]:
+    """Fit one after another the shapes that the vehicle lacks, and all of them if the last one helps."""
+    new = [shape for shape in SHAPES if shape.name not in judge.investigation.vehicle.effects]
+    trial = None
+    for shape in new:
+        trial = _trial(judge, decision, best, [shape])
+        if trial is not None:
+            yield trial
+    if len(new) > 1 and trial is not None and trial.row.clear:
+        trial = _trial(judge, decision, best, new)
+        if trial is not None:
+            yield trial
+
+
+def _trial(judge: Judge, decision: Decision, best: Sequence[CandidateScore], shapes: Sequence[Shape]) -> Trial | None:
+    """Return a fit with these shapes beside the effects found; None where it cannot come before the best candidate."""
+    plain, name = judge.investigation, shapes[-1].name
+    unknowns = [unknown for shape in shapes for unknown in shape.unknowns(plain.vehicle)]
+    if any(TYRES not in row.cost or row.explained > 1.0 - PARAMETER * max(len(unknowns) - row.size, 0) for row in best):
         return None
-    shaped = _with(plain, shape, unknowns)
-    model = _fitted(shaped, decision.found, unknowns)
-    row = replace(judge, investigation=shaped).score(shape.name, model, decision)
-    worth = bool(decision.chosen) and row.worth >= PARAMETER * size
+    shaped = _with(plain, shapes, unknowns)
+    found = _fitted(shaped, decision.found, unknowns)
+    return Trial(shaped, shapes[-1], unknowns, found, replace(judge, investigation=shaped).score(name, found, decision))
+
+
+def _comes_before(judge: Judge, decision: Decision, best: Sequence[CandidateScore], trial: Trial) -> bool:
+    """Return whether a vehicle of another shape explains enough, and more than the best candidate of a round."""
+    row, shape = trial.row, trial.shape
+    worth = bool(decision.chosen) and row.worth >= PARAMETER * len(trial.unknowns)
     if not row.clear or not (worth or row.explained >= shape.least):
-        return None
+        return False
     first, *others = judge.ranked([*best, row], decision.cost)
     alike = equals([first, *others]) if shape.common else []
-    if shape.name not in (each.name for each in (first, *alike)):
-        return None
-    return _settled(shaped, model if not decision.chosen else _fitted(shaped, plain.base, unknowns))
+    return shape.name in (each.name for each in (first, *alike))
 
 
 def shapes_of(found: FittedModel) -> list[str]:
@@ -101,9 +128,11 @@ def _changes(shape: Shape, vehicle: Vehicle) -> bool:
     return any(getattr(own, f.name) != getattr(neutral, f.name) for f in fields(neutral) if f.name not in own.known)
 
 
-def _with(plain: Investigation, shape: Shape, unknowns: Sequence[Unknown]) -> Investigation:
-    """Return the investigation of a vehicle with a shape that changes nothing yet, and its unknowns."""
-    vehicle = with_effect(plain.vehicle, shape.name, shape.neutral(plain.vehicle))
+def _with(plain: Investigation, shapes: Sequence[Shape], unknowns: Sequence[Unknown]) -> Investigation:
+    """Return the investigation of a vehicle with shapes that change nothing yet, and their unknowns."""
+    vehicle = plain.vehicle
+    for shape in shapes:
+        vehicle = with_effect(vehicle, shape.name, shape.neutral(plain.vehicle))
     every = [*plain.unknowns, *unknowns]
     kernels = kernels_of(plain.evidence, vehicle, every, plain.catalogue)
     return replace(plain, vehicle=vehicle, unknowns=every, kernels=kernels)
@@ -120,8 +149,10 @@ def _fitted(shaped: Investigation, found: FittedModel, unknowns: Sequence[Unknow
     return better_half_way(shaped, fitted)
 
 
-def _settled(shaped: Investigation, model: FittedModel) -> Investigation:
-    """Return the investigation by a nominal fit with the shape."""
+def _settled(trial: Trial, base: FittedModel | None) -> Investigation:
+    """Return the investigation by a nominal fit with the shapes: the trial's, or one from a fit without effects."""
+    shaped = trial.investigation
+    model = trial.found if base is None else _fitted(shaped, base, trial.unknowns)
     data = replace(shaped, strength=model.strength)
     return investigation_of(data, Nominal(model, shaped.nominal.met_twice), shaped.folds, shaped.seed)
 

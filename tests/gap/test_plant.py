@@ -153,8 +153,22 @@ def test_four_wheels_scrub_where_one_track_does_not():
     tight = {s: log_of(Plant(published(1), structure=s), run_of(1.5, 1.0, held(0.35, 1.0))) for s in STRUCTURES}
     rates = {s: float(log["yaw_rate"][-1, 0]) for s, log in tight.items()}
     assert 0.002 < abs(rates["four_wheels"] / rates["single_track"] - 1) < 0.1
+    assert 0.002 < abs(rates["ackermann"] / rates["four_wheels"] - 1) < 0.1
     straight = [log_of(Plant(published(1), structure=s), run_of(1.0, 2.0, held(0.0, 3.0)))["v_x"] for s in STRUCTURES]
     assert np.allclose(straight[0], straight[1], atol=1e-9)
+
+
+def test_front_wheels_on_one_circle_do_not_scrub():
+    """Where the rear axle rolls about a point, no front wheel slips sideways, and the inner one steers more."""
+    plant = Plant(published(1), structure="ackermann")
+    wheelbase, ahead = plant.cars["wheelbase"][0], plant.cars["l_f"][0]
+    speed, radius = 1.0, 0.8
+    plant.state[3], plant.state[4], plant.state[5] = speed, speed / radius * (wheelbase - ahead), speed / radius
+    plant.state[6], plant.state[7] = np.arctan(wheelbase / radius), speed
+    plant.now.command = plant.state[6:8]
+    plant.derivative(0.0, plant.state)
+    assert np.abs(plant.now.slip[1]).max() < 1e-9
+    assert plant.sin[0, 0] > np.sin(plant.state[6, 0]) > plant.sin[1, 0] > 0.0
 
 
 @pytest.mark.slow

@@ -19,7 +19,8 @@ from tests.gap.plant.families import MAGIC_FORMULA, forces_of
 from tests.gap.plant.tyre import Array, Curves, Tyre
 
 TRACK_WIDTH = 0.2  # m, of cars with two wheels on an axle
-COG_HEIGHT: dict[str, float] = {"four_wheels": 0.0, "two_track": 0.07}  # m, of the same
+COG_HEIGHT: dict[str, float] = {"four_wheels": 0.0, "ackermann": 0.0, "two_track": 0.07}  # m, of the same
+ON_ONE_CIRCLE = "ackermann"  # of those, front wheels steer each by its own angle
 STRUCTURES = ("single_track", *COG_HEIGHT)
 N_BODY = 8  # rows of the state that every car has
 HOOKS = (
@@ -243,6 +244,9 @@ class Plant:
         angle, n = now.delta, now.n_front
         for effect in self.hooks["road_wheel"]:
             angle = effect.road_wheel(now, angle)
+        if self.structure == ON_ONE_CIRCLE:  # about a point in line with the rear axle
+            tan = np.tan(angle)
+            angle = np.arctan(tan / (1.0 - self.wheels.Y[:n] * tan / self.cars["wheelbase"]))
         cos, sin = self.cos, self.sin
         cos[:n], sin[:n] = np.cos(angle), np.sin(angle)
         ahead = now.v_x - now.r * self.wheels.Y if self.has_width else now.v_x
