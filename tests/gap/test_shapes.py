@@ -137,3 +137,25 @@ def test_a_shape_that_changes_nothing_is_none():
     found = [SimpleNamespace(vehicle=replace(right, effects={DOUBLE_TRACK: each})) for each in (wide, none)]
     assert [shapes_of(each) for each in found] == [[DOUBLE_TRACK], []]
     assert shapes_of(SimpleNamespace(vehicle=right)) == []
+
+
+@pytest.mark.parametrize(
+    ("has", "clear", "tried"),
+    [
+        ([], True, [[DOUBLE_TRACK], [TYRE_SHAPE], [DOUBLE_TRACK, TYRE_SHAPE]]),
+        ([], False, [[DOUBLE_TRACK], [TYRE_SHAPE]]),
+        ([DOUBLE_TRACK], True, [[TYRE_SHAPE]]),
+        ([DOUBLE_TRACK, TYRE_SHAPE], True, []),
+    ],
+)
+def test_a_tyre_that_helps_is_tried_on_a_double_track(has, clear, tried, monkeypatch):
+    seen = []
+
+    def trial(judge, decision, best, new):
+        seen.append([shape.name for shape in new])
+        return SimpleNamespace(row=SimpleNamespace(clear=clear and new[-1].name == TYRE_SHAPE))
+
+    monkeypatch.setattr(shapes, "_trial", trial)
+    vehicle = SimpleNamespace(effects=dict.fromkeys(has))
+    judge = SimpleNamespace(investigation=SimpleNamespace(vehicle=vehicle))
+    assert len(list(shapes._trials(judge, None, []))) == len(tried) and seen == tried
