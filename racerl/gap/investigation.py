@@ -45,9 +45,14 @@ class Investigation(FitData):
         return self.nominal.model
 
     @property
+    def shapes(self) -> list[str]:
+        """The names of what the vehicle is that is no effect: a double track, tyres of another formula."""
+        return [name for name in (DOUBLE_TRACK, TYRE_SHAPE) if name in self.vehicle.effects]
+
+    @property
     def shaped(self) -> bool:
         """Whether the vehicle's tyre is of another shape than its formula's."""
-        return TYRE_SHAPE in self.vehicle.effects
+        return TYRE_SHAPE in self.shapes
 
     def cost(self, found: FittedModel, stage: str) -> Array:
         """Return a fit's cost per window of a stage; the nominal one where its effects do not touch it."""

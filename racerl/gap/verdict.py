@@ -17,7 +17,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from racerl.gap.comparison import BEHIND, CLEAR, FOREIGN, REAL, WORSE, CandidateScore, equals, excesses, total
+from racerl.gap.comparison import BEHIND, CLEAR, FOREIGN, REAL, WORSE, CandidateScore, close, equals, excesses, total
 from racerl.gap.decision import Decision
 from racerl.gap.fitted_model import touched
 from racerl.gap.hypotheses import calibrated, unlisted
@@ -70,8 +70,8 @@ def _without_effects(investigation: Investigation, decision: Decision, before: C
     if len(blind) > MOST * len(decision.score.names):
         reason = f"{len(blind)} of {len(decision.score.names)} effects would not show at their usual size"
         return Verdict("under_excited", (), (), blind, reason)
-    shapes = [said for name, said in SHAPED.items() if name in investigation.vehicle.effects]
-    reason = f"with {listed(shapes)}, " if shapes else ""
+    shapes = listed([SHAPED[name] for name in investigation.shapes])
+    reason = f"with {shapes}, " if shapes else ""
     stage, _, first = open_stage(investigation, decision, before, after, excused)
     if stage:
         left = f"an excess of {_noises(first)}"
@@ -135,7 +135,7 @@ def _with_effects(investigation: Investigation, decision: Decision, before: Cost
         return Verdict("under_excited", (), (), blind, f"{explain} only {share:.0%} of a small excess")
     if had < REAL * noise:
         explained += ", which is within the uncertainty of the noise level"
-    if rivals := _rivals(decision, effects):
+    if rivals := _rivals(decision, effects, sure=share >= CREDIBLE or foreign):
         return Verdict("ambiguous", effects, tuple(rivals), blind, "; ".join([explained, *rivals.values()]))
     return Verdict("named" if len(effects) == 1 else "multiple", effects, (), blind, explained)
 
@@ -145,12 +145,19 @@ def _doubted_in(investigation: Investigation, decision: Decision) -> list[str]:
     return touched(investigation, decision.rounds[-1][0].found.vehicle, [decision.doubted])
 
 
-def _rivals(decision: Decision, effects: Collection[str]) -> dict[str, str]:
-    """Return the effects that may stand in the place of one that was found, and what speaks for each."""
+def _rivals(decision: Decision, effects: Collection[str], *, sure: bool) -> dict[str, str]:
+    """Return the effects that may stand in the place of one that was found, and what speaks for each.
+
+    Where most of an excess stays, what explains more may do so by chance: whatever is needed and close is a rival.
+    """
     equal = [row.name for rows in decision.kept.values() for row in equals(rows)]
     told = {name: f"{name} explains it as well" for name in (*equal, *_one_with(decision))}
     for row in (row for rows in decision.kept.values() for row in _unsettled(rows)):
         told.setdefault(row.name, f"in {row.leads:.0%} of resamples {row.name} comes first instead")
+    for rows in () if sure else decision.kept.values():
+        for row in (row for row in rows[1:] if row.needed and close(row, rows[0])):
+            behind = f"only {max(row.behind, 0.0):.1f} standard errors behind, where most stays unexplained"
+            told.setdefault(row.name, f"{row.name} is {behind}")
     return {name: said for name, said in told.items() if name not in effects}
 
 

@@ -620,7 +620,7 @@ def test_a_name_must_explain_most_of_a_small_excess(monkeypatch, chosen, excess,
     monkeypatch.setattr("racerl.gap.verdict.fitted", lambda *_: (before, after))
     evidence = {"chassis": SimpleNamespace(filtered=True)}
     monkeypatch.setattr("racerl.gap.verdict.touched", lambda *_: ["chassis"])
-    investigation = SimpleNamespace(evidence=evidence, shaped=False)
+    investigation = SimpleNamespace(evidence=evidence, shaped=False, shapes=[])
     score = Score(["aero_drag", "downforce"], np.diag([900.0, 900.0]), np.zeros(2))
     found = SimpleNamespace(vehicle=None)
     noise = {"chassis": 1e5, "steering": 1e4}
@@ -808,6 +808,36 @@ def test_a_name_that_resamples_shake_is_ambiguous_with_what_comes_out_instead(mo
         assert told in verdict.reason
 
 
+@pytest.mark.parametrize(("left", "kind"), [(0.7e5, "ambiguous"), (0.3e5, "named")])
+def test_where_most_stays_what_is_needed_and_close_is_a_rival(left, kind, monkeypatch):
+    """Half of a real log named the clock, the other one a servo that the clock was two standard errors behind."""
+    monkeypatch.setattr("racerl.gap.verdict.open_stage", lambda *_: ("", 0.0, 0.0))
+    monkeypatch.setattr("racerl.gap.verdict.fitted", lambda *_: ({"chassis": 1e5}, {"chassis": left}))
+    monkeypatch.setattr("racerl.gap.verdict.touched", lambda *_: ["chassis"])
+    monkeypatch.setattr("racerl.gap.verdict._coarse", lambda *_: True)
+    rows = [
+        SimpleNamespace(name=name, explained=share, behind=behind, clear=True, needed=needed, size=1, leads=1.0)
+        for name, share, behind, needed in (
+            ("steering_second_order", 0.3, 0.0, True),
+            ("tyre_relaxation", 0.2, 2.5, False),
+            ("steering_delay", 0.2, 2.0, True),
+            ("road_slope", 0.2, 3.5, True),
+        )
+    ]
+    decision = SimpleNamespace(
+        chosen=["steering_second_order"],
+        kept={"steering_second_order": rows},
+        found=SimpleNamespace(vehicle=None),
+        noise={"chassis": 1e5},
+        score=Score([], np.zeros((0, 0)), np.zeros(0)),
+        doubted="",
+    )
+    verdict = judge(SimpleNamespace(shaped=False), decision)
+    assert (verdict.kind, verdict.rivals) == (kind, ("steering_delay",) if kind == "ambiguous" else ())
+    said = "steering_delay is only 2.0 standard errors behind, where most stays unexplained"
+    assert verdict.reason.endswith(said) == (kind == "ambiguous")
+
+
 def test_what_was_rather_not_added_is_told_where_nothing_was(monkeypatch):
     monkeypatch.setattr("racerl.gap.verdict.unlisted", lambda *_: 0.9)
     monkeypatch.setattr("racerl.gap.verdict.fitted", lambda *_: 2 * ({"chassis": 2e4},))
@@ -866,8 +896,11 @@ def test_the_calibrated_rule_tells_a_clean_foreign_car_from_an_unknown_effect(mo
     decision = SimpleNamespace(
         chosen=[], found=found, noise=dict.fromkeys(left, 1e5), score=score, doubted="", rounds=[], features=[]
     )
-    verdict = judge(SimpleNamespace(shaped=True, chance=dict.fromkeys(left, 0.005)), decision)
+    shapes = ["double_track", "tyre_shape"]
+    verdict = judge(SimpleNamespace(shaped=True, shapes=shapes, chance=dict.fromkeys(left, 0.005)), decision)
     assert verdict.kind == kind and said in verdict.reason
+    shaped = "with two wheels on an axle and a tyre shape that departs from its formula, "
+    assert verdict.reason.startswith(shaped) == (kind == "none")
 
 
 @pytest.mark.parametrize(
