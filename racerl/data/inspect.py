@@ -1,6 +1,5 @@
 """What a log holds and what is wrong with it: channels, rates, noise, coverage, and the traps that can be seen.
 
-Noise       median absolute third difference: of a smooth signal plus white noise σ it is 0.6745 √20 σ.
 Steering    ṙ is regressed on front and rear slip angles through saturating functions (any axle's
             characteristic is near some sum of them); the shift of δ that explains ṙ best is its lag. Dynamics of yaw
             and tyres are in the regression, so a clean log gives zero for δ, and the actuator's lag for δ_ref.
@@ -25,6 +24,7 @@ from racerl.data.agreement import Comparison, compare_with_poses, differences
 from racerl.data.differentiate import slope, smoothed
 from racerl.data.lag import ENOUGH, MAX_LAG, Lag, best_lag, correlation_lag, reach, smoothing
 from racerl.data.log import CHANNELS, POSE, VELOCITY, Log
+from racerl.data.noise import channel_noise
 
 Array = NDArray[np.float64]
 
@@ -130,11 +130,11 @@ def _channel(log: Log, name: str) -> dict[str, Any]:
 
 
 def noise(log: Log, name: str) -> float | None:
-    """Return the standard deviation of a channel's white noise, None when it is held or constant."""
+    """Return the standard deviation of a channel's noise, None when it is held or constant."""
     unwrap = np.unwrap if name == "yaw" else np.asarray
-    thirds = [np.diff(unwrap(run[name].to_numpy()), n=3) for run in log.runs() if len(run) > 3]
-    size = float(np.median(np.abs(np.concatenate(thirds)))) if thirds else 0.0
-    return size / (0.6745 * 20**0.5) if size > 0 else None
+    runs = [np.asarray(unwrap(run[name].to_numpy()), float) for run in log.runs()]
+    steps = np.concatenate([np.diff(run, n=3) for run in runs])
+    return channel_noise(runs) if len(steps) and np.median(np.abs(steps)) > 0.0 else None
 
 
 def _runs(log: Log) -> list[dict[str, Any]]:

@@ -1,18 +1,18 @@
 """What a log says about one stage: equal windows with inputs at any shift in time, and each channel's noise."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.signal import savgol_coeffs, savgol_filter
-from scipy.special import comb
+from scipy.signal import savgol_filter
 
 from racerl.data.agreement import compare_with_poses
 from racerl.data.differentiate import velocities
 from racerl.data.log import POSE, VELOCITY, Log, common_sample_time
+from racerl.data.noise import channel_noise, spread, whiteness
 from racerl.estimation.windows import window_starts
 from racerl.gap.stage import Stage
 from racerl.vehicle.rollout import Windows
@@ -25,10 +25,7 @@ SMOOTH = (33, 17, 9, 5)  # samples of the quadratic Savitzky–Golay filters tha
 STEEP = 2  # samples more for their slopes
 SLOPE = 7  # samples that a condition's slope is taken over
 QUIET, PART = 2.0, 50  # most mean square over so many samples, in that of the noise, that smoothing may take away
-LOCAL, ORDER = 11, 4  # samples and order of the local polynomials that tell noise from motion
-TOP, WHITE = 6, 0.9  # order of the differences that show noise near the Nyquist frequency; its least share if white
-THINNED = 5  # one sample of so many is taken at least, where a filter has made neighbours alike
-NEARLY = 0.7  # that share, from which on no more samples are left out
+WHITE = 0.9  # least share of noise near the Nyquist frequency in what is fast, if it is white
 LEAST = 1e-9  # deviation of a noise at least
 STILL = 1e-6  # rad or rad/s, deviation of an actuator from a command that never changes
 COMMANDS = ("delta_ref", "omega_ref")
@@ -221,7 +218,7 @@ class Evidence:
     def filtered(self) -> bool:
         """Whether most outputs were filtered before they were logged: noise that is not white is larger than shown."""
         run = max(self.runs, key=lambda run: run.stop - run.start)
-        return float(np.median([_whiteness(self.columns[name][run]) for name in self.observed])) < WHITE
+        return float(np.median([whiteness(self.columns[name][run]) for name in self.observed])) < WHITE
 
     def with_noisy_inputs(self, generator: np.random.Generator) -> "Evidence":
         """Return the evidence with as much noise again on every measured input; commands are known."""
@@ -235,27 +232,13 @@ class Evidence:
         """Return the standard deviation of some channels' noise."""
         for name in names:
             if name not in self._deviations:
-                self._deviations[name] = self._noise_in(self.columns[name])
+                self._deviations[name] = max(channel_noise([self.columns[name][run] for run in self.runs]), LEAST)
         return np.array([self._deviations[name] for name in names])
 
     @cached_property
     def _deviations(self) -> dict[str, float]:
         """The noise of channels as far as it was asked for."""
         return {}
-
-    def _noise_in(self, column: Array) -> float:
-        """Return the noise of a column.
-
-        Filters take away what is fast, and noise shows there alone. So samples are thinned until what is fast in them
-        is white; where it never is, for the motion is as fast, the noise may be larger than what is told.
-        """
-        found: list[float] = []
-        for step in range(1, THINNED + 1):
-            parts = [column[run][begin::step] for run in self.runs for begin in range(step)]
-            found.append(max(_pooled(parts, _spread), LEAST))
-            if _pooled(parts, _fast) > NEARLY * found[-1]:
-                return found[-1]
-        return found[0]
 
 
 def contradictory(logs: Sequence[Log]) -> bool:
@@ -272,7 +255,7 @@ def derived(runs: Sequence[pd.DataFrame], dt: float) -> bool:
     run = max(runs, key=len)
     given = run[list(VELOCITY)].to_numpy().T
     x, y, yaw = (run[name].to_numpy() for name in POSE)
-    noise = np.array([_spread(column) for column in given])
+    noise = np.array([spread(column) for column in given])
     for window, order in FILTERS:
         if len(run) > 2 * window:
             made = np.array(velocities(x, y, yaw, dt, window, order))
@@ -286,35 +269,3 @@ def _quiet(lost: Array, noise: float) -> bool:
     """Return whether what smoothing took away is noise throughout."""
     parts = lost[: len(lost) // PART * PART].reshape(-1, PART)
     return bool(((parts**2).mean(axis=1) < QUIET * noise**2).all())
-
-
-def _pooled(parts: Sequence[Array], deviation: Callable[[Array], float]) -> float:
-    """Return the root mean square of some parts' deviations, weighted by what local polynomials leave free."""
-    free = np.array([max(len(part) - LOCAL, 0) for part in parts])
-    squares = np.array([deviation(part) ** 2 for part in parts])
-    return float(np.sqrt(squares @ free / max(free.sum(), 1)))
-
-
-def _whiteness(column: Array) -> float:
-    """Return a channel's noise near the Nyquist frequency in that of all that is fast: one if it is white."""
-    return _fast(column) / max(_spread(column), 1e-12)
-
-
-def _fast(column: Array) -> float:
-    """Return the standard deviation that white noise would have, by what is near the Nyquist frequency."""
-    top = np.diff(column, TOP) / np.sqrt(comb(2 * TOP, TOP))
-    return _deviation(top) if len(top) else 0.0
-
-
-def _spread(column: Array) -> float:
-    """Return the standard deviation of what local polynomials do not follow in one run's channel."""
-    centre = savgol_coeffs(LOCAL, ORDER)[LOCAL // 2]
-    if len(column) <= LOCAL:
-        return 0.0
-    left = (column - savgol_filter(column, LOCAL, ORDER))[LOCAL // 2 : -(LOCAL // 2)]
-    return _deviation(left) / float(np.sqrt(1.0 - centre))
-
-
-def _deviation(noise: Array) -> float:
-    """Return the standard deviation about zero that a normal distribution of this median would have."""
-    return 1.4826 * float(np.median(np.abs(noise)))

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.signal import butter, filtfilt
 
 import racerl.data.inspect
 from racerl.data.inspect import compare, inspect, noise
@@ -60,6 +61,16 @@ def test_noise_is_what_was_added():
     )
     assert noise(Log.from_table("a", table), "v_x") == pytest.approx(0.05, rel=0.05)
     assert noise(Log.from_table("a", table), "yaw") < 1e-6
+
+
+def test_noise_of_a_filtered_channel_is_what_the_filter_left():
+    dice = np.random.default_rng(0)
+    t = np.arange(0.0, 60.0, 0.01)
+    left = filtfilt(*butter(2, 15.0, fs=100.0), 0.05 * dice.standard_normal(len(t)))
+    table = pd.DataFrame({"t": t, "v_x": 2 + np.sin(t) + left})
+    assert noise(Log.from_table("a", table), "v_x") == pytest.approx(left.std(), rel=0.2)
+    table["v_x"] = np.round(table["v_x"])  # held for most of the time
+    assert noise(Log.from_table("a", table), "v_x") is None
 
 
 @pytest.mark.parametrize("rows", [-12, -8, 8, 12])
