@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from racerl.estimation.unknowns import Unknown
-from racerl.gap.comparison import PARAMETER, REAL, CandidateScore, Judge, equals, excesses
+from racerl.gap.comparison import EQUAL, PARAMETER, REAL, CandidateScore, Judge, equals, excesses
 from racerl.gap.decision import Decision
 from racerl.gap.fit_data import kernels_of
 from racerl.gap.fitted_model import FittedModel, better_half_way, settled_fit, touched, with_effect
@@ -93,8 +93,9 @@ def _trial(judge: Judge, decision: Decision, best: Sequence[CandidateScore], sha
     """Return a fit with these shapes beside the effects found; None where it cannot come before the best candidate."""
     plain, name = judge.investigation, shapes[-1].name
     unknowns = [unknown for shape in shapes for unknown in shape.unknowns(plain.vehicle)]
-    if any(TYRES not in row.cost or row.explained > 1.0 - PARAMETER * max(len(unknowns) - row.size, 0) for row in best):
-        return None
+    for row in best:
+        if TYRES not in row.cost or row.explained > 1.0 - max(EQUAL, PARAMETER * (len(unknowns) - row.size)):
+            return None
     shaped = _with(plain, shapes, unknowns)
     found = _fitted(shaped, decision.found, unknowns)
     return Trial(shaped, shapes[-1], unknowns, found, replace(judge, investigation=shaped).score(name, found, decision))
