@@ -67,12 +67,29 @@ def other_shape(judge: Judge, decision: Decision, rows: Sequence[CandidateScore]
     if TYRES not in decision.cost:
         return None
     best = [row for row in rows[:1] if row.needed]
-    if not best and excesses(plain, decision.cost, decision.noise)[TYRES] < REAL * decision.noise[TYRES]:
+    if not best and not _gap(judge, decision):
         return None
     for trial in _trials(judge, decision, best):
         if _comes_before(judge, decision, best, trial):
-            return _settled(trial, plain.base if decision.chosen else None)
+            return _settled(_with_more(judge, decision, trial), plain.base if decision.chosen else None)
     return None
+
+
+def _gap(judge: Judge, decision: Decision) -> bool:
+    """Return whether more than noise is left where tyres act."""
+    left = excesses(judge.investigation, decision.cost, decision.noise)[TYRES]
+    return left >= REAL * decision.noise[TYRES]
+
+
+def _with_more(judge: Judge, decision: Decision, trial: Trial) -> Trial:
+    """Return the trial, or one with a further shape that it asks for: so naming begins anew once, and not twice."""
+    judge = replace(judge, investigation=trial.investigation)
+    decision = replace(decision, found=trial.found, cost={**decision.cost, **trial.row.cost})
+    if _gap(judge, decision):
+        for more in _trials(judge, decision, []):
+            if _comes_before(judge, decision, [], more):
+                return replace(more, unknowns=[*trial.unknowns, *more.unknowns])
+    return trial
 
 
 def _trials(judge: Judge, decision: Decision, best: Sequence[CandidateScore]) -> Iterator[Trial]:
