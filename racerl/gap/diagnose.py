@@ -40,6 +40,7 @@ from racerl.vehicle import catalogue
 from racerl.vehicle.cars import write_cars
 from racerl.vehicle.load import load_vehicle, vehicle_document
 from racerl.vehicle.parameter import specifications, values
+from racerl.vehicle.rollout import on_threads
 from racerl.vehicle.vehicle import Vehicle
 
 LOCATE, NAME, PROOF, VERDICT, MODEL = "locate.json", "name.json", "prove.json", "verdict.json", "model.yaml"
@@ -60,8 +61,13 @@ def gap(settings: Mapping[str, Any], out: Path, on_progress: OnProgress = silent
 
     Raises ConfigError, VehicleError, LogError or RunError; a log that cannot tell gives a verdict, not an error.
     """
-    began = time.perf_counter()
     check(settings)
+    with on_threads(settings["threads"]):
+        return _diagnosed(settings, out, on_progress)
+
+
+def _diagnosed(settings: Mapping[str, Any], out: Path, on_progress: OnProgress) -> dict[str, Any]:
+    began = time.perf_counter()
     vehicle = load_vehicle(settings["vehicle"])
     logs, doubled = separate(load_measured(settings))
     evidence = cut(logs, settings)

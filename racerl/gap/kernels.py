@@ -2,7 +2,9 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cache, partial
 from threading import Lock
+from typing import NamedTuple
 
 from racerl.gap.evidence import Evidence
 from racerl.gap.presence import only_shifts, with_all
@@ -29,6 +31,13 @@ class StageKernel:
         self.catalogue = catalogue
 
 
+class Part(NamedTuple):
+    """What an effect has to do with a stage: nothing, or with states of the car that are none of it, too."""
+
+    idle: bool
+    coupling: bool
+
+
 class StageKernels:
     """The kernels of a stage, by the effects in them: none, one, all that leave it apart from other stages, or all.
 
@@ -39,11 +48,10 @@ class StageKernels:
     def __init__(
         self, evidence: Evidence, vehicle: Vehicle, free: Sequence[str], catalogue: Mapping[str, Effect]
     ) -> None:
-        alone = _acting(evidence, vehicle, {})
-        acting = {n: _acting(evidence, vehicle, {n: each}) for n, each in catalogue.items() if not only_shifts(each)}
-        self._idle = {name for name, (_, parameters) in acting.items() if not parameters}
-        self._coupling = {name for name, (states, _) in acting.items() if (states - alone[0]) & set(STATE)}
         self._make = lambda effects: StageKernel(evidence, vehicle, free, effects)
+        acting = partial(_acting, evidence, vehicle)
+        alone = cache(lambda: acting({})[0])
+        self._part = cache(lambda name: _part(*acting({name: catalogue[name]}), alone()))
         self._catalogue, self._always = catalogue, set(vehicle.effects)
         self._made: dict[frozenset[str], StageKernel] = {}
         self._locks: dict[frozenset[str], Lock] = {}
@@ -51,17 +59,23 @@ class StageKernels:
     def choose(self, vehicle: Vehicle, *, whole: bool = False) -> StageKernel:
         """Return the least kernel that has all the vehicle's effects in it; `whole`: the one that has all there are."""
         acting = (n for n, effect in vehicle.effects.items() if not only_shifts(effect))
-        present = {name for name in acting if name not in self._always and name not in self._idle}
+        present = {name for name in acting if name not in self._always and not self._part(name).idle}
         names, everything = frozenset(present), frozenset(self._catalogue)
-        if whole or (len(present) > 1 and self._coupling & present):
+        if whole or (len(present) > 1 and any(self._part(name).coupling for name in present)):
             names = everything
         elif len(present) > 1:
-            names = everything - self._coupling
+            all_acting = (name for name, effect in self._catalogue.items() if not only_shifts(effect))
+            names = everything - {name for name in all_acting if self._part(name).coupling}
         with self._locks.setdefault(names, Lock()):
             if names not in self._made:
                 chosen = {n: effect for n, effect in self._catalogue.items() if n in names or only_shifts(effect)}
                 self._made[names] = self._make(chosen)
         return self._made[names]
+
+
+def _part(states: set[str], parameters: set[str], alone: set[str]) -> Part:
+    """Return what an effect has to do with a stage that, without it, depends on the states `alone`."""
+    return Part(not parameters, bool((states - alone) & set(STATE)))
 
 
 def _acting(evidence: Evidence, vehicle: Vehicle, effects: Mapping[str, Effect]) -> tuple[set[str], set[str]]:

@@ -29,7 +29,9 @@ log = logging.getLogger(__name__)
 # fast-math lets the compiler take the vector versions of sin, atan, …; NaN still spreads through sums.
 # cos is written as a shifted sin: sin and cos of one angle would be fused to a complex exponential, which has none.
 FLAGS = ("-march=native", "-ffast-math", "-fopenmp-simd", "-fPIC")
-THOROUGH, QUICK = ("-O3",), ("-O1", "-ftree-vectorize", "-fno-tree-slp-vectorize")
+# a loop over all effects has more than the thousand operands beyond which GCC would not vectorise it
+WIDE = ("--param", "loop-max-datarefs-for-datadeps=100000")
+THOROUGH, QUICK = ("-O3",), ("-O1", "-ftree-vectorize", "-fno-tree-slp-vectorize", *WIDE)
 
 ABANDONED = 3600.0  # s, after which a folder that a compiler works in was left behind
 

@@ -13,7 +13,7 @@ residuals e = w (x − y) of the observed states, each window returns its share 
 Every window has parameters of its own where they are given as (P, W), so that windows × parameter sets (an effect whose
 strength is a parameter on in some, off in others) are one call, and nothing is compiled anew inside a fit.
 
-Derivatives come from CasADi's differentiation of `Vehicle.derivative`; the generated C runs in double precision over 8
+Derivatives come from CasADi's differentiation of `Vehicle.derivative`; the generated C runs in double precision over 16
 windows at a time, on several threads, with results that do not depend on their number. Without a compiler torch does
 the same by automatic differentiation, far more slowly.
 """
@@ -21,8 +21,10 @@ the same by automatic differentiation, far more slowly.
 import ctypes
 import dataclasses
 import itertools
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -40,10 +42,12 @@ from racerl.vehicle.parameter import replace_values, values
 from racerl.vehicle.vehicle import STATE, Vehicle
 
 Array = NDArray[np.float64]
-LANES = 8
+LANES = 16
 INPUTS = ("delta", "omega")  # what drives the car, measured where its actuator is given
 UNDO = 3  # passes of the fixed-point iteration that inverts a sensor; each takes its error to its square or better
-CHUNK = 64  # windows per call of the compiled kernel
+CHUNK = 32  # windows per call of the compiled kernel
+
+_usual: ContextVar[int] = ContextVar("threads", default=1)
 
 TEMPLATE = """
 #include <math.h>
@@ -278,6 +282,16 @@ OWN = """        if (on[{column}])
                 for (int l = 0; l < LANES; l++) K[d][l] += {term};"""
 
 
+@contextmanager
+def on_threads(count: int) -> Iterator[None]:
+    """Let rollouts take so many threads where they are given none; those that other threads begin take one."""
+    before = _usual.set(count)
+    try:
+        yield
+    finally:
+        _usual.reset(before)
+
+
 @dataclass(frozen=True)
 class Windows:
     """Measured stretches of driving, all of T intervals of dt seconds.
@@ -397,7 +411,7 @@ class Rollout(Equations):
         table = values(self.vehicle)
         return np.array([float(table[name]) for name in [*self.names, *self.given]])
 
-    def simulate(self, parameters: Array, windows: Windows, threads: int = 1) -> Array:
+    def simulate(self, parameters: Array, windows: Windows, threads: int | None = None) -> Array:
         """Return the states (T + 1, S, W) of all windows, for parameters (P,) or (P, W); only active rows count."""
         parameters = _per_window(parameters, windows)
         steps, h = self.steps(windows.dt)
@@ -416,14 +430,14 @@ class Rollout(Equations):
         parts = _in_chunks(run, windows, parameters, threads)
         return np.concatenate(parts, axis=2)
 
-    def predict(self, parameters: Array, windows: Windows, threads: int = 1) -> Array:
+    def predict(self, parameters: Array, windows: Windows, threads: int | None = None) -> Array:
         """Return the observed channels (T + 1, C, W) of all windows, as sensors show them."""
         states = torch.as_tensor(self.simulate(parameters, windows, threads))
         table = torch.as_tensor(np.array(_per_window(parameters, windows)))
         shown = self.observe(states.unbind(1), table.unbind(0), TORCH)
         return torch.stack(torch.broadcast_tensors(*shown), dim=1).numpy()
 
-    def squares(self, parameters: Array, windows: Windows, threads: int = 1) -> Array:
+    def squares(self, parameters: Array, windows: Windows, threads: int | None = None) -> Array:
         """Return every window's squared weighted errors, summed per channel (W, C)."""
         parameters = _per_window(parameters, windows)
         steps, h = self.steps(windows.dt)
@@ -443,7 +457,7 @@ class Rollout(Equations):
         self,
         parameters: Array,
         windows: Windows,
-        threads: int = 1,
+        threads: int | None = None,
         columns: Sequence[int] | None = None,
         silent: Collection[str] = (),
     ) -> NormalEquations:
@@ -483,9 +497,10 @@ def _per_window(parameters: Array, windows: Windows) -> Array:
     return np.broadcast_to(columns, (len(parameters), windows.count))
 
 
-def _in_chunks(run: Any, windows: Windows, parameters: Array, threads: int) -> list[Any]:
+def _in_chunks(run: Any, windows: Windows, parameters: Array, threads: int | None) -> list[Any]:
     """Call `run` on chunks of windows, in order, the compiled kernel letting other threads work; on all with one."""
-    if threads == 1:
+    threads = threads or _usual.get()
+    if threads == 1 or windows.count <= CHUNK:
         return [run(windows, parameters)]
     parts = [slice(first, first + CHUNK) for first in range(0, windows.count, CHUNK)]
     chunks = [(windows.take(part), parameters[:, part]) for part in parts]
@@ -601,8 +616,8 @@ def source(rollout: Equations) -> str:
     states = rollout.vehicle.states
     rows, free = [states.index(name) for name in rollout.active], len(rollout.names)
     f = casadi.vertcat(*(f[i] if i in rows else 0.0 for i in range(len(states))))
-    f_x, f_p = casadi.jacobian(f[rows], x[rows]), casadi.jacobian(f[rows], p[:free])
-    y_x, y_p = casadi.jacobian(y, x[rows]), casadi.jacobian(y, p[:free])
+    f, y = casadi.cse([f, y])  # before it is differentiated: what is shared has one derivative
+    (f_x, f_p), (y_x, y_p) = (_slopes(of, x[rows], p[:free]) for of in (f[rows], y))
     plain = casadi.Function("derivative", [x, u, p], [f])
     linear = casadi.cse([f, casadi.vertcat(*f_x.nonzeros()), casadi.vertcat(*f_p.nonzeros())])
     linearised = casadi.Function("linearised", [x, u, p], linear)
@@ -633,6 +648,15 @@ def source(rollout: Equations) -> str:
         sight_jacobian=y_x.nnz(),
         sight_gradient=y_p.nnz(),
     )
+
+
+def _slopes(of: Any, *by: Any) -> list[Any]:
+    """Return the sparse Jacobian by each of some vectors; in reverse mode, for there are more of these than rows."""
+    import casadi
+
+    every = casadi.jtimes(of, casadi.vertcat(*by), casadi.SX.eye(of.numel()), True).T
+    ends = np.cumsum([0, *(each.numel() for each in by)]).tolist()
+    return [casadi.sparsify(part) for part in casadi.horzsplit(every, ends)]
 
 
 def _terms(matrix: Any) -> list[dict[int, str]]:

@@ -154,6 +154,28 @@ def test_threads_may_take_turns_anywhere_in_a_call(car, monkeypatch):
     assert np.array_equal(got.H, expected.H) and np.array_equal(got.squares, expected.squares)
 
 
+@needs_compiler
+def test_usual_threads_are_those_of_one_thread_and_change_nothing(car, monkeypatch):
+    windows = windows_for(car, count=5 * rollout_module.CHUNK + 3)
+    rollout, asked = Rollout(car, NAMES, OBSERVED), []
+
+    def pool(threads):
+        asked.append(threads)
+        return ThreadPoolExecutor(threads)
+
+    monkeypatch.setattr(rollout_module, "ThreadPoolExecutor", pool)
+    theta = rollout.nominal()
+    alone = rollout.accumulate(theta, windows)
+    with rollout_module.on_threads(3), ThreadPoolExecutor(1) as other:
+        together = rollout.accumulate(theta, windows)
+        assert asked == [3]
+        elsewhere = other.submit(rollout.accumulate, theta, windows).result()
+    rollout.squares(theta, windows)
+    assert asked == [3]
+    for got in (together, elsewhere):
+        assert np.array_equal(got.H, alone.H) and np.array_equal(got.g, alone.g)
+
+
 @pytest.mark.parametrize("compiled", [pytest.param(True, marks=needs_compiler), False])
 def test_squares_are_those_of_what_is_predicted(car, compiled, monkeypatch):
     windows = windows_for(car, count=75 if compiled else 5)
