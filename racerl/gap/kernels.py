@@ -21,7 +21,8 @@ class StageKernel:
         self, evidence: Evidence, vehicle: Vehicle, free: Sequence[str], catalogue: Mapping[str, Effect]
     ) -> None:
         everything = evidence.stage.vehicle(with_all(vehicle, catalogue))
-        table = values(everything)
+        always = {f"effects.{name}.presence" for name in vehicle.effects.keys() - catalogue.keys()}
+        table = {name: value for name, value in values(everything).items() if name not in always}
         inside = [name for name in table if name in free or ".effect." in name]
         presences = [name for name in table if name.endswith(".presence")]
         inside = StageEquations(everything, [*inside, *presences], evidence.observed).effective

@@ -48,17 +48,18 @@ class Screened(NamedTuple):
 
 def scores(investigation: Investigation, base: FittedModel) -> dict[str, Score]:
     """Return the score of every effect that a fitted vehicle lacks, per stage."""
-    found = {}
-    for name, evidence in investigation.evidence.items():
+
+    def scored(name: str) -> Score:
         known = investigation.known_elsewhere([name])
         unknowns = [u for u in unknowns_with(investigation, base.effects, base.vehicle) if u.name not in known]
-        problem = StageProblem.of(
-            evidence, investigation.kernels[name], base.vehicle, unknowns, investigation.sigma[name], whole=True
-        )
+        evidence, kernels = investigation.evidence[name], investigation.kernels[name]
+        problem = StageProblem.of(evidence, kernels, base.vehicle, unknowns, investigation.sigma[name], whole=True)
         part = score(problem, unknowns, base.theta, begun(problem, base.initial, None), base.strength[name])
         share = REMAINDER if investigation.shaped and name == TYRES else FELT  # as a candidate is judged
-        found[name] = replace(part, least=np.where(np.diag(part.H) > 0.0, share * investigation.floor[name], 0.0))
-    return found
+        return replace(part, least=np.where(np.diag(part.H) > 0.0, share * investigation.floor[name], 0.0))
+
+    names = list(investigation.evidence)  # side by side: their kernels are the largest, and take longest to compile
+    return dict(zip(names, investigation.workers.each(scored, names), strict=True))
 
 
 def lost(investigation: Investigation, base: FittedModel) -> set[str]:

@@ -41,10 +41,11 @@ class DoubleTrack(Effect):
 
     def tyre(self, forces: "Forces", slips: "Slips", motion: "Motion", ops: Ops) -> "Forces":
         """Add by what the mean over an axle's wheels differs from a wheel in its middle."""
-        left, middle, right = (self._side(side, forces, slips, motion, ops) for side in (1.0, 0.0, -1.0))
+        middle = self._tyres(slips, forces, motion, ops)
+        left, right = (self._side(side, forces, slips, motion, ops) for side in (1.0, -1.0))
         return forces._replace(
             **{
-                name: getattr(forces, name) + 0.5 * (one + other) - between
+                name: 0.5 * (one + other) + (getattr(forces, name) - between)
                 for name, one, between, other in zip(Side._fields, left, middle, right, strict=True)
             }
         )
@@ -58,14 +59,20 @@ class DoubleTrack(Effect):
         return wrench._replace(M_z=wrench.M_z - 0.25 * self.track_width * (front + left.F_xr - right.F_xr))
 
     def _side(self, side: float, forces: "Forces", slips: "Slips", motion: "Motion", ops: Ops) -> Side:
-        """Return the forces at the slips of one side's wheels: 1 the left, −1 the right; 0 between them."""
+        """Return the forces at the slips of one side's wheels: 1 the left, −1 the right."""
         car, apart = motion.car, 0.5 * side * self.track_width * motion.yaw_rate
-        friction, V_x = car.grip(motion, ops), car.front_velocity(motion, ops)[0]
+        V_x = car.front_velocity(motion, ops)[0]
         V_f, V_r = car.slip_speed(V_x, ops), car.slip_speed(motion.v_x, ops)
         front = V_f / car.slip_speed(V_x - apart * ops.cos(motion.delta), ops)
         rear = V_r / car.slip_speed(motion.v_x - apart, ops)
         alpha_f = slips.alpha_f - (1.0 - self.ackermann) * apart * ops.sin(motion.delta) / V_f
+        own = type(slips)(slips.kappa_f * front, alpha_f * front, slips.kappa_r * rear, slips.alpha_r * rear)
+        return self._tyres(own, forces, motion, ops)
+
+    def _tyres(self, slips: "Slips", forces: "Forces", motion: "Motion", ops: Ops) -> Side:
+        """Return the forces at given slips, by the tyres' formulas."""
+        car, (front, rear) = motion.car, motion.car.grip(motion, ops)
         return Side(
-            *car.front.forces(slips.kappa_f * front, alpha_f * front, forces.F_zf, friction[0], ops),
-            *car.rear.forces(slips.kappa_r * rear, slips.alpha_r * rear, forces.F_zr, friction[1], ops),
+            *car.front.forces(slips.kappa_f, slips.alpha_f, forces.F_zf, front, ops),
+            *car.rear.forces(slips.kappa_r, slips.alpha_r, forces.F_zr, rear, ops),
         )
