@@ -148,6 +148,17 @@ def test_sensors_change_what_is_told_of_one_drive():
     assert sparse.equals(ideal.groupby("run").nth(slice(None, None, 2)).reset_index(drop=True))
 
 
+@pytest.mark.slow
+def test_a_smaller_step_changes_how_one_drive_is_integrated_and_nothing_else():
+    """Heun's error falls by four where the step is halved."""
+    cases = [SETS["clean"](Choice(seed=3, noises=(1e-6,), minutes=0.3, step=step))[0] for step in (1e-3, 5e-4, 2.5e-4)]
+    assert len({case.name for case in cases}) == 3 and len({case.origin for case in cases}) == 1
+    full, half, quarter = (simulate([case])[0] for case in cases)
+    first = full["run"] == full["run"].iloc[0]  # later ones steer by where the car is, and part
+    off = [(a["yaw_rate"] - b["yaw_rate"])[first].abs().max() for a, b in ((full, half), (half, quarter))]
+    assert 3.0 < off[0] / off[1] < 6.0 and off[0] < 0.01
+
+
 def test_four_wheels_scrub_where_one_track_does_not():
     """Wheels side by side slip unlike each other in a turn; on a straight they are one."""
     tight = {s: log_of(Plant(published(1), structure=s), run_of(1.5, 1.0, held(0.35, 1.0))) for s in STRUCTURES}

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from tests.gap.plant.batch import batches, key, simulate
 from tests.gap.plant.car import SLIPS, STRUCTURES
-from tests.gap.plant.cases import SETS, Case, Choice
+from tests.gap.plant.cases import SETS, STEP, Case, Choice
 from tests.gap.plant.effects import ALL, SIZES
 from tests.gap.plant.families import MAGIC_FORMULA, TYRES
 from tests.gap.plant.programmes import PROGRAMMES
@@ -54,6 +54,7 @@ def _chosen(options: argparse.Namespace) -> list[Case]:
         floor=options.floor,
         structure=options.structure,
         sensors=options.sensors,
+        step=options.step,
     )
     cases = [case for name in options.set for case in SETS[name](choice)]
     return sorted(cases, key=lambda case: case.origin)[: options.limit]
@@ -76,6 +77,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--floor", type=float, default=1.0, help="grip of the floor, times each car's own")
     parser.add_argument("--structure", choices=STRUCTURES, default="single_track", help="wheels and their loads")
     parser.add_argument("--sensors", choices=tuple(SENSORS), default="ideal", help="what they do beside noise")
+    parser.add_argument("--step", type=float, default=STEP, help="of the integration, in s; divides 1 ms")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--limit", type=int, help="at most so many cases")
     parser.add_argument("--batch", type=int, default=64, help="cars simulated side by side")

@@ -29,7 +29,7 @@ def simulate(batch: Sequence[Case]) -> list[pd.DataFrame]:
     first, programme = batch[0], PROGRAMMES[batch[0].programme]
     parameters = cars.stack([case.car() for case in batch])
     hidden = effects.build([case.values() for case in batch])
-    plant = Plant(parameters, hidden, first.structure, programme.lean, family=first.family, slip=first.slip)
+    plant = Plant(parameters, hidden, first.structure, programme.lean, first.step, first.family, first.slip)
     runs = programme.runs(parameters, [case.generator(2) for case in batch], first.length, first.direction)
     logs = drive(plant, runs)
     return [_logged(case, logs, i) for i, case in enumerate(batch)]
@@ -53,13 +53,14 @@ def key(case: Case) -> dict[str, object]:
         "slip": case.slip,
         "floor": case.floor,
         "sensors": case.sensors,
+        "step": case.step,
         "car": case.car(),
     }  # fmt: skip
 
 
-def _kind(case: Case) -> tuple[str, str, float, str, str, str]:
+def _kind(case: Case) -> tuple[str, str, float, str, str, str, float]:
     """What the cases of a batch have in common."""
-    return case.programme, case.structure, case.length, case.direction, case.family, case.slip
+    return case.programme, case.structure, case.length, case.direction, case.family, case.slip, case.step
 
 
 def _logged(case: Case, logs: Logs, car: int) -> pd.DataFrame:

@@ -20,6 +20,7 @@ from tests.gap.plant.programmes import PROGRAMMES
 
 Hidden = tuple[tuple[str, str], ...]  # (effect, size)
 
+STEP = 1e-3  # s, of Heun's method
 NOISES = (0.5, 1.0, 3.0)
 DRIVES = ("excitation", "race")
 CLEAN_CARS = 12
@@ -50,19 +51,21 @@ class Case:
     slip: str = field(default="centre", repr=False)  # the speed that slips are over
     floor: float = field(default=1.0, repr=False)  # grip of the floor, times the car's own
     sensors: str = field(default="ideal", repr=False)
+    step: float = field(default=STEP, repr=False)  # s, of the integration
 
     @property
     def origin(self) -> str:
-        """An opaque name, whatever the floor and the sensors: car, effects, driving and noise are its."""
+        """An opaque name, whatever the floor, the sensors and the step: car, effects, driving and noise are its."""
         own = "" if (self.family, self.slip) == (MAGIC_FORMULA, "centre") else f" on {self.family}, {self.slip}"
         return hashlib.sha256(f"{self}{own}".encode()).hexdigest()[:12]
 
     @property
     def name(self) -> str:
         """An opaque name."""
-        if (self.floor, self.sensors) == (1.0, "ideal"):
+        if (self.floor, self.sensors, self.step) == (1.0, "ideal", STEP):
             return self.origin
         own = "" if self.sensors == "ideal" else f" {self.sensors}"
+        own += "" if self.step == STEP else f" {self.step}"
         return hashlib.sha256(f"{self.origin} {self.floor}{own}".encode()).hexdigest()[:12]
 
     @property
@@ -102,6 +105,7 @@ class Choice:
     floor: float = 1.0
     structure: str = "single_track"
     sensors: str = "ideal"
+    step: float = STEP
 
     def case(
         self, name: str, hidden: Hidden, programme: str, noise: float, number: int = 0, structure: str = ""
@@ -122,6 +126,7 @@ class Choice:
             slip=self.slip,
             floor=self.floor,
             sensors=self.sensors,
+            step=self.step,
         )
 
 
