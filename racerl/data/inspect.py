@@ -24,7 +24,7 @@ from racerl.data.agreement import Comparison, compare_with_poses, differences
 from racerl.data.differentiate import slope, smoothed
 from racerl.data.lag import ENOUGH, MAX_LAG, Lag, best_lag, correlation_lag, reach, smoothing
 from racerl.data.log import CHANNELS, POSE, VELOCITY, Log
-from racerl.data.noise import channel_noise
+from racerl.data.noise import LOCAL, channel_noise
 
 Array = NDArray[np.float64]
 
@@ -130,11 +130,12 @@ def _channel(log: Log, name: str) -> dict[str, Any]:
 
 
 def noise(log: Log, name: str) -> float | None:
-    """Return the standard deviation of a channel's noise, None when it is held or constant."""
+    """Return the standard deviation of a channel's noise, None when it is held or constant, or the runs too short."""
     unwrap = np.unwrap if name == "yaw" else np.asarray
     runs = [np.asarray(unwrap(run[name].to_numpy()), float) for run in log.runs()]
     steps = np.concatenate([np.diff(run, n=3) for run in runs])
-    return channel_noise(runs) if len(steps) and np.median(np.abs(steps)) > 0.0 else None
+    told = max(map(len, runs)) > LOCAL and np.median(np.abs(steps)) > 0.0
+    return channel_noise(runs) if told else None
 
 
 def _runs(log: Log) -> list[dict[str, Any]]:

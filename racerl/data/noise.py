@@ -19,7 +19,7 @@ NEARLY = 0.7  # share of what is white from which on no more samples are left ou
 
 
 def channel_noise(runs: Sequence[Array]) -> float:
-    """Return the standard deviation of the noise in the runs of a channel, each (rows,)."""
+    """Return the standard deviation of the noise in the runs of a channel, each (rows,); 0 if none is beyond LOCAL."""
     found: list[float] = []
     for step in range(1, THINNED + 1):
         parts = [run[begin::step] for run in runs for begin in range(step)]

@@ -71,11 +71,12 @@ class CandidateScore:
     like: float = 0.0  # largest |cosine| with the effects beside it
     behind: float = 0.0
     leads: float = 1.0  # share of resamples in which it comes first of its round
+    more: int = 0  # parameters that came with the effect and are not its own
 
     @property
     def size(self) -> int:
-        """Number of the effect's own parameters."""
-        return sum(name.startswith(f"effects.{self.name}.") for name in self.found.problem.names)
+        """Number of the parameters that came with the effect."""
+        return self.more + sum(name.startswith(f"effects.{self.name}.") for name in self.found.problem.names)
 
     @property
     def clear(self) -> bool:

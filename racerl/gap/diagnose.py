@@ -29,7 +29,7 @@ from racerl.gap.naming import name_effects
 from racerl.gap.numbers import as_configured, wrong_numbers
 from racerl.gap.progress import OnProgress, silent, within
 from racerl.gap.prove import prove
-from racerl.gap.shapes import said_of, shapes_of
+from racerl.gap.shapes import in_order, said_of, shapes_of
 from racerl.gap.stage import CHAIN, TYRES, Stage, stages
 from racerl.gap.uncertainty import FAR, deviations, intervals, moved, possible_cars
 from racerl.gap.verdict import CLAIMS, Verdict, judge, proved, separable
@@ -90,7 +90,7 @@ def _diagnosed(settings: Mapping[str, Any], out: Path, on_progress: OnProgress) 
         whole = chain(logs, settings)
         missing = [name for name in COMMANDS if name not in channels_of(logs)]
         facts, found, investigation = _steps(investigation, whole, settings, folder.path, told, missing, on_progress)
-        facts["remarks"] += [f"{said_of(name, found)}: {MODEL} has it ({name})" for name in shapes_of(found)]
+        facts["remarks"] += _shapes_told(settings["vehicle"], found)
         _write_vehicle(folder.path / MODEL, settings, facts, investigation, found)
         if found.problem.names:
             cars = possible_cars(investigation, found, settings["seed"])
@@ -311,6 +311,12 @@ def excitations(names: Iterable[str]) -> dict[str, list[str]]:
     return found
 
 
+def _shapes_told(given: Mapping[str, Any], found: FittedModel) -> list[str]:
+    """Return what the refit found the vehicle to be beside its parameters, in words; what was configured is known."""
+    new = [name for name in shapes_of(found) if name not in (given.get("effects") or {})]
+    return [f"the vehicle fits better with {said_of(name, found)}: {MODEL} has it ({name})" for name in new]
+
+
 def _silent(logs: Sequence[Log]) -> dict[str, Any]:
     """Return the verdict on logs that hold no stretch of driving to look at."""
     fewer = f"{sum(log.seconds for log in logs):.1f} s of log have fewer than {FEWEST} windows of driving"
@@ -376,6 +382,6 @@ def _write_vehicle(
         for name in (*sorted(found.effects), *shapes_of(found))
     }
     given = settings["vehicle"]
-    vehicle = {**given, "effects": {**(given.get("effects") or {}), **added}}
+    vehicle = {**given, "effects": in_order({**(given.get("effects") or {}), **added})}
     changes = {name: found.theta[name] for name in parameters}
     write_model(path, vehicle, changes, {"logs": facts["logs"], "parameters": parameters}, "gap")

@@ -23,6 +23,7 @@ from racerl.gap.verdict import alike
 from racerl.record.record import Plan, table
 from racerl.run import Compose, RunFolder
 from racerl.vehicle.load import load_vehicle
+from racerl.vehicle.rollout import on_threads
 
 PLAN = "plan.json"
 NEXT = 5  # manoeuvres that are proposed
@@ -51,7 +52,8 @@ def plan(
     folder = RunFolder.start(out, "gap plan", settings, seed=settings["seed"], threads=settings["threads"])
     on_progress("refitting the vehicle", 0.1)
     checkpoint = Checkpoint.of(folder.path, settings, evidence)
-    investigation = refit(evidence, logs, vehicle, settings, checkpoint)
+    with on_threads(settings["threads"]):
+        investigation = refit(evidence, logs, vehicle, settings, checkpoint)
     on_progress("what the log could tell", 0.8)
     facts = {
         "logs": [log.facts() for log in logs],

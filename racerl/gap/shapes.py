@@ -4,8 +4,9 @@ Every car has two wheels on an axle, and hardly any tyre is the Magic Formula. W
 shape it belongs to the vehicle, and naming begins anew with it. Effects depend on time, place, side, load or history.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,12 +34,13 @@ WIDTH, VARIED = 0.6, 0.2  # of the wheelbase: a usual track width, and its devia
 
 @dataclass(frozen=True)
 class Shape:
-    """One such shape: as it is where it changes nothing, and its unknowns, which start from usual values.
+    """One such shape, in `words`: as it is where it changes nothing, and its unknowns, which start from usual values.
 
     `least` is the share of what is left that it must explain to come first, and `common`: as well as others is enough.
     """
 
     name: str
+    words: str
     neutral: Callable[[Vehicle], Effect]
     unknowns: Callable[[Vehicle], list[Unknown]]
     least: float
@@ -115,7 +117,8 @@ def _trial(judge: Judge, decision: Decision, best: Sequence[CandidateScore], sha
             return None
     shaped = _with(plain, shapes, unknowns)
     found = _fitted(shaped, decision.found, unknowns)
-    return Trial(shaped, shapes[-1], unknowns, found, replace(judge, investigation=shaped).score(name, found, decision))
+    row = replace(judge, investigation=shaped).score(name, found, decision)
+    return Trial(shaped, shapes[-1], unknowns, found, replace(row, more=len(unknowns) - row.size))
 
 
 def _comes_before(judge: Judge, decision: Decision, best: Sequence[CandidateScore], trial: Trial) -> bool:
@@ -136,14 +139,20 @@ def shapes_of(found: FittedModel) -> list[str]:
 
 def said_of(name: str, found: FittedModel) -> str:
     """Return what a fitted vehicle's shape is, in words."""
-    if name == TYRE_SHAPE:
-        return "the tyres have another shape than their formula's"
-    return f"two wheels on an axle, {found.theta[f'effects.{name}.track_width']:.2g} m apart, fit better than one"
+    apart = f", {found.theta[f'effects.{name}.track_width']:.2g} m apart" if name == DOUBLE_TRACK else ""
+    return f"{WORDS[name]}{apart}"
+
+
+def in_order(effects: Mapping[str, Any]) -> dict[str, Any]:
+    """Return effects by name with the shapes behind all others: a tyre's shape acts on what two wheels do together."""
+    last = [shape.name for shape in SHAPES if shape.name in effects]
+    return {name: effects[name] for name in (*(name for name in effects if name not in last), *last)}
 
 
 def _changes(shape: Shape, vehicle: Vehicle) -> bool:
     own, neutral = vehicle.effects[shape.name], shape.neutral(vehicle)
-    return any(getattr(own, f.name) != getattr(neutral, f.name) for f in fields(neutral) if f.name not in own.known)
+    free = [field.name for field in fields(neutral) if field.name not in own.known]
+    return any(getattr(own, name) != getattr(neutral, name) for name in free[: own.vanishing])
 
 
 def _with(plain: Investigation, shapes: Sequence[Shape], unknowns: Sequence[Unknown]) -> Investigation:
@@ -151,6 +160,7 @@ def _with(plain: Investigation, shapes: Sequence[Shape], unknowns: Sequence[Unkn
     vehicle = plain.vehicle
     for shape in shapes:
         vehicle = with_effect(vehicle, shape.name, shape.neutral(plain.vehicle))
+    vehicle = replace(vehicle, effects=in_order(vehicle.effects))
     every = [*plain.unknowns, *unknowns]
     kernels = kernels_of(plain.evidence, vehicle, every, plain.catalogue)
     return replace(plain, vehicle=vehicle, unknowns=every, kernels=kernels)
@@ -158,9 +168,7 @@ def _with(plain: Investigation, shapes: Sequence[Shape], unknowns: Sequence[Unkn
 
 def _fitted(shaped: Investigation, found: FittedModel, unknowns: Sequence[Unknown]) -> FittedModel:
     """Return a fit of the shape from where a fit without it stands, over the stages that they touch."""
-    vehicle = found.vehicle
-    for name in shaped.vehicle.effects.keys() - vehicle.effects.keys():
-        vehicle = with_effect(vehicle, name, shaped.vehicle.effects[name])
+    vehicle = replace(found.vehicle, effects=in_order({**shaped.vehicle.effects, **found.vehicle.effects}))
     vehicle = replace_values(vehicle, {unknown.name: unknown.start for unknown in unknowns})
     stages = [TYRES, *touched(shaped, vehicle, found.effects)] if found.effects else list(shaped.evidence)
     fitted = settled_fit(shaped, found.effects, vehicle, found, stages=list(dict.fromkeys(stages)))
@@ -206,6 +214,7 @@ def _wheels(vehicle: Vehicle) -> list[Unknown]:
 
 
 SHAPES = (
-    Shape(DOUBLE_TRACK, _single_track, _wheels, 0.0, common=True),
-    Shape(TYRE_SHAPE, _formula, _weights, MOST, common=False),
+    Shape(DOUBLE_TRACK, "two wheels on an axle", _single_track, _wheels, 0.0, common=True),
+    Shape(TYRE_SHAPE, "a tyre shape that departs from its formula", _formula, _weights, MOST, common=False),
 )
+WORDS = {shape.name: shape.words for shape in SHAPES}

@@ -6,7 +6,7 @@ under_excited   nothing is left, but the log would not have shown most of them; 
                 little to be sure of a name
 named           one effect is needed, and no other explains the data as well
 multiple        several effects, each needed beside the others
-ambiguous       another effect explains the data as well
+ambiguous       another effect explains the data as well, or hardly less where much stays that none explains
 unknown         what is left is real, where effects that were found act, and no known effect explains it
 """
 
@@ -21,9 +21,10 @@ from racerl.gap.comparison import BEHIND, CLEAR, FOREIGN, REAL, WORSE, Candidate
 from racerl.gap.decision import Decision
 from racerl.gap.fitted_model import touched
 from racerl.gap.hypotheses import calibrated, unlisted
-from racerl.gap.investigation import DOUBLE_TRACK, TYRE_SHAPE, Investigation
+from racerl.gap.investigation import Investigation
 from racerl.gap.score import Score
 from racerl.gap.sentences import listed
+from racerl.gap.shapes import WORDS
 from racerl.gap.stage import TYRES
 
 Costs = Mapping[str, float]  # excess of every stage
@@ -36,7 +37,6 @@ COARSE = 30.0  # excess over the noise's cost, beyond which that of filtered sen
 TWINS = 0.95  # |cosine| above which a linear test cannot tell two effects apart
 MOST = 0.5  # share of the catalogue that a log must be able to show
 NEAR = 2.0  # times the noise, up to which a fold that is told little decides whether an error grows
-SHAPED = {DOUBLE_TRACK: "two wheels on an axle", TYRE_SHAPE: "a tyre shape that departs from its formula"}
 CLAIMS = ("named", "multiple", "ambiguous")
 STABLE, RARE = 0.8, 0.1  # shares of resamples in which a name comes out, and a rival in its place at least
 
@@ -70,7 +70,7 @@ def _without_effects(investigation: Investigation, decision: Decision, before: C
     if len(blind) > MOST * len(decision.score.names):
         reason = f"{len(blind)} of {len(decision.score.names)} effects would not show at their usual size"
         return Verdict("under_excited", (), (), blind, reason)
-    shapes = listed([SHAPED[name] for name in investigation.shapes])
+    shapes = listed([WORDS[name] for name in investigation.shapes])
     reason = f"with {shapes}, " if shapes else ""
     stage, _, first = open_stage(investigation, decision, before, after, excused)
     if stage:
@@ -135,7 +135,8 @@ def _with_effects(investigation: Investigation, decision: Decision, before: Cost
         return Verdict("under_excited", (), (), blind, f"{explain} only {share:.0%} of a small excess")
     if had < REAL * noise:
         explained += ", which is within the uncertainty of the noise level"
-    if rivals := _rivals(decision, effects, sure=share >= CREDIBLE or foreign):
+    stays = 0.0 if share >= CREDIBLE or foreign else 1.0 - share
+    if rivals := _rivals(decision, effects, stays):
         return Verdict("ambiguous", effects, tuple(rivals), blind, "; ".join([explained, *rivals.values()]))
     return Verdict("named" if len(effects) == 1 else "multiple", effects, (), blind, explained)
 
@@ -145,18 +146,18 @@ def _doubted_in(investigation: Investigation, decision: Decision) -> list[str]:
     return touched(investigation, decision.rounds[-1][0].found.vehicle, [decision.doubted])
 
 
-def _rivals(decision: Decision, effects: Collection[str], *, sure: bool) -> dict[str, str]:
+def _rivals(decision: Decision, effects: Collection[str], stays: float) -> dict[str, str]:
     """Return the effects that may stand in the place of one that was found, and what speaks for each.
 
-    Where most of an excess stays, what explains more may do so by chance: whatever is needed and close is a rival.
+    Where a share of the excess `stays`, what explains more may do so by chance: what is needed and close is a rival.
     """
     equal = [row.name for rows in decision.kept.values() for row in equals(rows)]
     told = {name: f"{name} explains it as well" for name in (*equal, *_one_with(decision))}
     for row in (row for rows in decision.kept.values() for row in _unsettled(rows)):
         told.setdefault(row.name, f"in {row.leads:.0%} of resamples {row.name} comes first instead")
-    for rows in () if sure else decision.kept.values():
+    for rows in decision.kept.values() if stays else ():
         for row in (row for row in rows[1:] if row.needed and close(row, rows[0])):
-            behind = f"only {max(row.behind, 0.0):.1f} standard errors behind, where most stays unexplained"
+            behind = f"only {max(row.behind, 0.0):.1f} standard errors behind, where {stays:.0%} stays unexplained"
             told.setdefault(row.name, f"{row.name} is {behind}")
     return {name: said for name, said in told.items() if name not in effects}
 

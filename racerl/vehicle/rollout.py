@@ -386,7 +386,10 @@ class Equations:
 
 
 class Rollout(Equations):
-    """The rollouts of a vehicle structure and their sensitivities, compiled where a compiler is at hand."""
+    """The rollouts of a vehicle structure and their sensitivities, compiled where a compiler is at hand.
+
+    Each call takes as many threads as it is given, else those of `on_threads`.
+    """
 
     def __init__(
         self,
@@ -498,8 +501,8 @@ def _per_window(parameters: Array, windows: Windows) -> Array:
 
 
 def _in_chunks(run: Any, windows: Windows, parameters: Array, threads: int | None) -> list[Any]:
-    """Call `run` on chunks of windows, in order, the compiled kernel letting other threads work; on all with one."""
-    threads = threads or _usual.get()
+    """Call `run` on chunks of windows, in order, the compiled kernel letting other threads work; on all of few."""
+    threads = _usual.get() if threads is None else threads
     if threads == 1 or windows.count <= CHUNK:
         return [run(windows, parameters)]
     parts = [slice(first, first + CHUNK) for first in range(0, windows.count, CHUNK)]

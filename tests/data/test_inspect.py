@@ -73,6 +73,11 @@ def test_noise_of_a_filtered_channel_is_what_the_filter_left():
     assert noise(Log.from_table("a", table), "v_x") is None
 
 
+def test_noise_of_runs_too_short_to_tell_is_not_known():
+    table = pd.DataFrame({"t": np.arange(0.0, 0.1, 0.01), "v_x": np.random.default_rng(0).standard_normal(10)})
+    assert noise(Log.from_table("a", table), "v_x") is None
+
+
 @pytest.mark.parametrize("rows", [-12, -8, 8, 12])
 @pytest.mark.parametrize("name", ["delta", "delta_ref"])
 def test_a_shifted_steering_channel_is_seen_with_sign_and_size(driven, name, rows):

@@ -809,7 +809,7 @@ def test_a_name_that_resamples_shake_is_ambiguous_with_what_comes_out_instead(mo
 
 
 @pytest.mark.parametrize(("left", "kind"), [(0.7e5, "ambiguous"), (0.3e5, "named")])
-def test_where_most_stays_what_is_needed_and_close_is_a_rival(left, kind, monkeypatch):
+def test_where_much_stays_what_is_needed_and_close_is_a_rival(left, kind, monkeypatch):
     """Half of a real log named the clock, the other one a servo that the clock was two standard errors behind."""
     monkeypatch.setattr("racerl.gap.verdict.open_stage", lambda *_: ("", 0.0, 0.0))
     monkeypatch.setattr("racerl.gap.verdict.fitted", lambda *_: ({"chassis": 1e5}, {"chassis": left}))
@@ -834,7 +834,7 @@ def test_where_most_stays_what_is_needed_and_close_is_a_rival(left, kind, monkey
     )
     verdict = judge(SimpleNamespace(shaped=False), decision)
     assert (verdict.kind, verdict.rivals) == (kind, ("steering_delay",) if kind == "ambiguous" else ())
-    said = "steering_delay is only 2.0 standard errors behind, where most stays unexplained"
+    said = "steering_delay is only 2.0 standard errors behind, where 70% stays unexplained"
     assert verdict.reason.endswith(said) == (kind == "ambiguous")
 
 

@@ -11,7 +11,7 @@ from racerl.data.log import Log
 from racerl.gap.diagnose import gap
 from racerl.gap.investigation import DOUBLE_TRACK, TYRE_SHAPE
 from racerl.gap.naming import name_effects
-from racerl.gap.shapes import LARGE, said_of, shapes_of
+from racerl.gap.shapes import LARGE, SHAPES, in_order, said_of, shapes_of
 from racerl.gap.verdict import judge
 from racerl.vehicle.effects.double_track import DoubleTrack
 from racerl.vehicle.effects.tyre_shape import TyreShape
@@ -107,6 +107,20 @@ def test_a_vehicle_that_has_a_shape_keeps_it(foreign):
     assert float(fitted.aside_drive) == pytest.approx(-0.4, rel=0.3) and fitted.kappa_r == shape.kappa_r
 
 
+def test_shapes_have_one_order_whichever_was_found_first():
+    """A tyre's shape acts on what two wheels do together: the other way round it is another car."""
+    plain = investigate(drive(seconds=20.0), "yaw_damping")
+    either = []
+    for first in (1, 0):
+        found = plain
+        for shape in (SHAPES[first], SHAPES[1 - first]):
+            found = shapes._with(found, [shape], shape.unknowns(found.vehicle))
+        either.append(found.vehicle)
+    assert list(either[0].effects) == list(either[1].effects) == [DOUBLE_TRACK, TYRE_SHAPE]
+    given = {TYRE_SHAPE: {}, "yaw_damping": {}, DOUBLE_TRACK: {}}
+    assert list(in_order(given)) == ["yaw_damping", DOUBLE_TRACK, TYRE_SHAPE]
+
+
 @pytest.mark.slow
 def test_a_clean_car_with_four_wheels_is_a_double_track(tmp_path):
     words = ["--set", "clean", "--programmes", "excitation", "--noises", "1", "--seed", "23", "--limit", "1"]
@@ -133,9 +147,9 @@ def test_an_effect_is_found_on_a_double_track():
 
 def test_a_shape_that_changes_nothing_is_none():
     right = configured()[0]
-    wide, none = DoubleTrack(track_width=0.2), DoubleTrack(ackermann=1.0)
-    found = [SimpleNamespace(vehicle=replace(right, effects={DOUBLE_TRACK: each})) for each in (wide, none)]
-    assert [shapes_of(each) for each in found] == [[DOUBLE_TRACK], []]
+    tracks = DoubleTrack(track_width=0.2), DoubleTrack(ackermann=1.0), DoubleTrack(track_width=0.0, ackermann=0.5)
+    found = [SimpleNamespace(vehicle=replace(right, effects={DOUBLE_TRACK: each})) for each in tracks]
+    assert [shapes_of(each) for each in found] == [[DOUBLE_TRACK], [], []]
     assert shapes_of(SimpleNamespace(vehicle=right)) == []
 
 

@@ -36,7 +36,7 @@ class Effect:
     uniform: ClassVar[bool] = True  # the same everywhere, in every direction and at all times
     physical: ClassVar[bool] = True  # of the catalogue
     exact: ClassVar[bool] = False  # it has one form: a shift in time or place, a rotation, an offset, a gain
-    vanishing: ClassVar[int] = 1  # of its parameters, the first ones, that are 0, or 1 for a factor, without the effect
+    vanishing: ClassVar[int] = 1  # of its unknowns, the first ones, that are 0, or 1 for a factor, without the effect
     unbounded: ClassVar[tuple[str, ...]] = ()  # or limits, all of which are infinite without it
     of_speed: ClassVar[bool] = False  # it acts on a commanded wheel speed; a commanded current is none
     known: ClassVar[tuple[str, ...]] = ()  # parameters that no fit changes

@@ -50,6 +50,7 @@ class TyreShape(Effect):
     aside_turn_2: Scalar = _weight("b_5: F_y at large slip sideways")
 
     physical: ClassVar[bool] = False
+    vanishing: ClassVar[int] = 11
     known: ClassVar[tuple[str, ...]] = ("kappa_f", "alpha_f", "kappa_r", "alpha_r")
 
     def slip(self, slips: "Slips", motion: "Motion", ops: Ops) -> "Slips":

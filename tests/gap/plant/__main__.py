@@ -77,11 +77,19 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--floor", type=float, default=1.0, help="grip of the floor, times each car's own")
     parser.add_argument("--structure", choices=STRUCTURES, default="single_track", help="wheels and their loads")
     parser.add_argument("--sensors", choices=tuple(SENSORS), default="ideal", help="what they do beside noise")
-    parser.add_argument("--step", type=float, default=STEP, help="of the integration, in s; divides 1 ms")
+    parser.add_argument("--step", type=_step, default=STEP, help="of the integration, in s; divides 1 ms")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--limit", type=int, help="at most so many cases")
     parser.add_argument("--batch", type=int, default=64, help="cars simulated side by side")
     return parser
+
+
+def _step(text: str) -> float:
+    """A time step, of which whole numbers are a sample and a command."""
+    value = float(text)
+    if not 1e-6 <= value <= STEP or abs(STEP / value - round(STEP / value)) > 1e-6:
+        raise argparse.ArgumentTypeError(f"{text} s: a whole part of {STEP} s is expected")
+    return value
 
 
 def _names(known: Iterable[str]) -> Callable[[str], tuple[str, ...]]:

@@ -1,4 +1,4 @@
-"""The hidden car: a rigid body on two or four wheels, many cars at once, integrated by Heun at 1 kHz.
+"""The hidden car: a rigid body on two or four wheels, many cars at once, by Heun's method.
 
 m (v̇_x − r v_y) = Σ F_x,   m (v̇_y + r v_x) = Σ F_y,   I_z ṙ = Σ (X_i F_y,i − Y_i F_x,i)
 drag: −c₀ tanh(v_x/0.1) − c₁ v_x − c₂ v_x|v_x|;   δ̇ = (δ_ref − δ)/T_δ,   ω̇ = (ω_ref − ω)/T_ω
@@ -140,7 +140,7 @@ class Plant:
     """B cars with their effects, driven by `advance`.
 
     `structure` is one of `STRUCTURES`, of which the two_track car's loads alone change; `family` is that of the tyres,
-    `slip` the speed that slips are over: of the wheel's centre, of its surface, or the larger one.
+    `slip` the speed that slips are over: of the wheel's centre, of its surface, or the larger one. `dt` is in s.
     """
 
     def __init__(
