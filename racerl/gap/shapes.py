@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from racerl.estimation.unknowns import Unknown
-from racerl.gap.comparison import EQUAL, PARAMETER, REAL, CandidateScore, Judge, equals, excesses
+from racerl.gap.comparison import ALL, EQUAL, PARAMETER, REAL, CandidateScore, Judge, equals, excesses
 from racerl.gap.decision import Decision
 from racerl.gap.fit_data import kernels_of
 from racerl.gap.fitted_model import FittedModel, better_half_way, settled_fit, touched, with_effect
@@ -84,12 +84,15 @@ def _gap(judge: Judge, decision: Decision) -> bool:
 
 
 def _with_more(judge: Judge, decision: Decision, trial: Trial) -> Trial:
-    """Return the trial, or one with a further shape that it asks for: so naming begins anew once, and not twice."""
+    """Return the trial, or one with a further shape that it asks for: so naming begins anew once, and not twice.
+
+    No effect is tried beside it there, so that it has to explain more than a part of one.
+    """
     judge = replace(judge, investigation=trial.investigation)
     decision = replace(decision, found=trial.found, cost={**decision.cost, **trial.row.cost})
     if _gap(judge, decision):
         for more in _trials(judge, decision, []):
-            if _comes_before(judge, decision, [], more):
+            if _comes_before(judge, decision, [], more) and more.row.explained >= ALL:
                 return replace(more, unknowns=[*trial.unknowns, *more.unknowns])
     return trial
 
