@@ -21,6 +21,7 @@ class StageKernel:
         self, evidence: Evidence, vehicle: Vehicle, free: Sequence[str], catalogue: Mapping[str, Effect]
     ) -> None:
         everything = evidence.stage.vehicle(with_all(vehicle, catalogue))
+        # a presence that may be 0 keeps what its effect replaces in the kernel: effects that are always there have none
         always = {f"effects.{name}.presence" for name in vehicle.effects.keys() - catalogue.keys()}
         table = {name: value for name, value in values(everything).items() if name not in always}
         inside = [name for name in table if name in free or ".effect." in name]
@@ -65,8 +66,8 @@ class StageKernels:
         if whole or (len(present) > 1 and any(self._part(name).coupling for name in present)):
             names = everything
         elif len(present) > 1:
-            all_acting = (name for name, effect in self._catalogue.items() if not only_shifts(effect))
-            names = everything - {name for name in all_acting if self._part(name).coupling}
+            known = self._catalogue.items()
+            names = everything - {n for n, effect in known if not only_shifts(effect) and self._part(n).coupling}
         with self._locks.setdefault(names, Lock()):
             if names not in self._made:
                 chosen = {n: effect for n, effect in self._catalogue.items() if n in names or only_shifts(effect)}

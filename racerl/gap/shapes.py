@@ -92,7 +92,7 @@ def _with_more(judge: Judge, decision: Decision, trial: Trial) -> Trial:
     decision = replace(decision, found=trial.found, cost={**decision.cost, **trial.row.cost})
     if _gap(judge, decision):
         for more in _trials(judge, decision, []):
-            if _comes_before(judge, decision, [], more) and more.row.explained >= ALL:
+            if more.row.clear and more.row.explained >= ALL:
                 return replace(more, unknowns=[*trial.unknowns, *more.unknowns])
     return trial
 

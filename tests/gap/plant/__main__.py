@@ -13,8 +13,9 @@ from pathlib import Path
 
 from tests.gap.plant.batch import batches, key, simulate
 from tests.gap.plant.car import SLIPS, STRUCTURES
-from tests.gap.plant.cases import SETS, STEP, Case, Choice
+from tests.gap.plant.cases import SETS, Case, Choice
 from tests.gap.plant.effects import ALL, SIZES
+from tests.gap.plant.effects.base import STEP
 from tests.gap.plant.families import MAGIC_FORMULA, TYRES
 from tests.gap.plant.programmes import PROGRAMMES
 from tests.gap.plant.sensors import SENSORS

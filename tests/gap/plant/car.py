@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tests.gap.plant import tyre
-from tests.gap.plant.effects.base import GRAVITY, Effect
+from tests.gap.plant.effects.base import GRAVITY, STEP, Effect
 from tests.gap.plant.families import MAGIC_FORMULA, forces_of
 from tests.gap.plant.tyre import Array, Curves, Tyre
 
@@ -149,7 +149,7 @@ class Plant:
         effects: Sequence[Effect] = (),
         structure: str = "single_track",
         lean: Lean = flat,
-        dt: float = 1e-3,
+        dt: float = STEP,
         family: str = MAGIC_FORMULA,
         slip: str = "centre",
     ) -> None:

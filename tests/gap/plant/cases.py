@@ -15,12 +15,12 @@ import numpy as np
 
 from tests.gap.plant import cars, effects
 from tests.gap.plant.effects import CATALOGUE, SIZES, UNLISTED
+from tests.gap.plant.effects.base import STEP
 from tests.gap.plant.families import MAGIC_FORMULA
 from tests.gap.plant.programmes import PROGRAMMES
 
 Hidden = tuple[tuple[str, str], ...]  # (effect, size)
 
-STEP = 1e-3  # s, of Heun's method
 NOISES = (0.5, 1.0, 3.0)
 DRIVES = ("excitation", "race")
 CLEAN_CARS = 12

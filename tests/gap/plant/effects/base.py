@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 Steps = NDArray[np.integer]
 SIZES = ("small", "medium", "large")
+STEP = 1e-3  # s, of Heun's method
 GRAVITY = 9.81  # m/s²
 
 
@@ -66,7 +67,7 @@ class Effect:
         self.gate = self.on.astype(float)
         self.p = values
         self.rows = slice(0, 0)
-        self.dt = 1e-3
+        self.dt = STEP
 
     def pick(self, new: Array, old: Array) -> Array:
         """The new value where the effect is on, else the old one."""
