@@ -10,6 +10,7 @@ from racerl.assemble import use_threads
 from racerl.bench import Benchmark, Compose, Progress
 from racerl.documents import write_json
 from racerl.run import RunFolder
+from racerl.vehicle.rollout import on_threads
 
 RESULT = "bench.json"
 
@@ -21,9 +22,11 @@ def bench(
     use_threads(settings["threads"])
     benchmark: Benchmark = registry.create(package, settings["benchmark"])
     folder = RunFolder.start(out, "bench", settings, threads=settings["threads"])
+    with on_threads(settings["threads"]):
+        measured = benchmark.measure(compose, settings["threads"], on_progress)
     facts = {
         "benchmark": settings["benchmark"]["name"],
-        **benchmark.measure(compose, settings["threads"], on_progress),
+        **measured,
         "threads": settings["threads"],
         **{key: folder.manifest[key] for key in ("cpu", "cpu_count", "git_sha", "libraries")},
     }

@@ -39,7 +39,7 @@ from racerl.run import RunFolder
 from racerl.vehicle.cars import write_cars
 from racerl.vehicle.load import load_vehicle
 from racerl.vehicle.parameter import replace_values, values
-from racerl.vehicle.rollout import Equations, Rollout, fastest_rate
+from racerl.vehicle.rollout import Equations, Rollout, fastest_rate, on_threads
 from racerl.vehicle.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -58,6 +58,11 @@ def identify(
     """
     check(settings)
     use_threads(settings["threads"])
+    with on_threads(settings["threads"]):
+        return _identified(settings, out, on_progress)
+
+
+def _identified(settings: Mapping[str, Any], out: Path, on_progress: Progress) -> dict[str, Any]:
     began = time.perf_counter()
     configured = load_vehicle(settings["vehicle"])
     logs, said = _read(settings, configured)

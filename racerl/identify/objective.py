@@ -49,13 +49,12 @@ class Objective:
         scale: Array,
         weight: Array,
         penalty: float = 0.0,
-        threads: int = 1,
         still: Collection[str] = (),
     ) -> None:
         """`still`: states whose initial values are known; those of all others are free."""
         share = weight / (scale * np.sqrt((weight**2).sum() * windows.count * len(windows.measured)))
         self.windows = replace(windows, weight=np.repeat(share[:, None], windows.count, axis=1))
-        self.rollout, self.unknowns, self.penalty, self.threads = rollout, unknowns, penalty, threads
+        self.rollout, self.unknowns, self.penalty = rollout, unknowns, penalty
         self.active = [rollout.vehicle.states.index(name) for name in rollout.active]
         self.free = np.array([name not in still for name in rollout.active])
 
@@ -71,14 +70,14 @@ class Objective:
         """Return F at a point, without gradients and several times faster; infinity for an unstable rollout."""
         windows = replace(self.windows, initial=point.initial)
         with np.errstate(all="ignore"):
-            data = float(self.rollout.squares(point.theta, windows, self.threads).sum())
+            data = float(self.rollout.squares(point.theta, windows).sum())
         return data + self.prior(point.theta) if np.isfinite(data) else np.inf
 
     def linearise(self, point: Point) -> Linearised:
         """Return cost, gradients and the Gauss–Newton matrices at a point; an unstable rollout costs infinity."""
         windows = replace(self.windows, initial=point.initial)
         with np.errstate(all="ignore"):
-            equations = self.rollout.accumulate(point.theta, windows, self.threads)
+            equations = self.rollout.accumulate(point.theta, windows)
             data = float(equations.squares.sum())
         P = len(point.theta)
         if not np.isfinite(data) or not np.isfinite(equations.H).all():
@@ -113,4 +112,4 @@ class Objective:
     def residuals(self, point: Point) -> Array:
         """Return the unweighted residuals x − y of the observed channels, (T + 1, C, W)."""
         windows = replace(self.windows, initial=point.initial)
-        return self.rollout.predict(point.theta, windows, self.threads) - windows.measured
+        return self.rollout.predict(point.theta, windows) - windows.measured

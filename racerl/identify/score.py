@@ -49,10 +49,10 @@ def horizons_within(length: int) -> list[int]:
     return sorted({h for h in HORIZONS if h < length} | {length})
 
 
-def rollout_errors(rollout: Rollout, theta: Array, cut: Cut, threads: int) -> Array:
+def rollout_errors(rollout: Rollout, theta: Array, cut: Cut) -> Array:
     """Return simulated minus measured channels (T + 1, C, W), from the measured initial states."""
     with np.errstate(all="ignore"):
-        return rollout.predict(theta, cut.windows, threads) - cut.windows.measured
+        return rollout.predict(theta, cut.windows) - cut.windows.measured
 
 
 def held_errors(cut: Cut) -> Array:

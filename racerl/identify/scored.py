@@ -22,7 +22,7 @@ class Scored:
     """Predictions of a log from measured initial states, apart from any fit."""
 
     def __init__(self, rollout: Rollout, wiring: Wiring, logs: Sequence[Log], settings: Mapping[str, Any]) -> None:
-        self.rollout, self.threads = rollout, settings["threads"]
+        self.rollout = rollout
         self.horizons = horizons_within(settings["window"])
         # a long log is scored with fewer starts, which costs no accuracy worth having
         every = max(START_EVERY, sum(len(log.table) for log in logs) // MOST_SCORED)
@@ -30,7 +30,7 @@ class Scored:
 
     def rollout_errors(self, theta: Array, index: NDArray[np.int64]) -> Array:
         """Return simulated minus measured channels of some windows, (T + 1, C, W)."""
-        return rollout_errors(self.rollout, theta, self.cut.take(index), self.threads)
+        return rollout_errors(self.rollout, theta, self.cut.take(index))
 
     def errors(self, theta: Array, index: NDArray[np.int64]) -> ErrorSum:
         """Return the squared errors of some windows."""
@@ -78,7 +78,7 @@ class Scored:
                 reached = self.cut.start[i] + len(errors) - 1
         part = self.cut.take(np.array(index))
         simulated = {
-            label: self.rollout.predict(values_, part.windows, self.threads)
+            label: self.rollout.predict(values_, part.windows)
             for label, values_ in (("unfitted", start), ("fitted", theta))
         }
         time_ = (part.start + np.arange(len(errors))[:, None]) * part.windows.dt  # (T + 1, W)

@@ -50,7 +50,6 @@ class Task:
     weight: Array
     overlap: float
     method: Method
-    threads: int
     still: tuple[str, ...] = ()  # states whose initial values are known
     actuators: tuple["Task", ...] = ()
 
@@ -58,9 +57,7 @@ class Task:
         """Return F over some windows, with the prior as strong as `independent` residuals of mean square `data` ask."""
         windows = self.cut.windows.take(index)
         penalty = data / independent
-        return Objective(
-            self.rollout, self.unknowns, windows, self.scale, self.weight, penalty, self.threads, self.still
-        )
+        return Objective(self.rollout, self.unknowns, windows, self.scale, self.weight, penalty, self.still)
 
 
 @dataclass(frozen=True)
@@ -124,7 +121,6 @@ def make_task(
         _weights(settings["weights"], wiring),
         max(1.0, (length + 1) / stride),
         registry.create(methods_package, settings["method"]),
-        settings["threads"],
         parts.still(wiring),
     )
     return replace(whole, actuators=tuple(_actuators(whole)))

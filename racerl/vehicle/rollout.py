@@ -47,7 +47,7 @@ INPUTS = ("delta", "omega")  # what drives the car, measured where its actuator 
 UNDO = 3  # passes of the fixed-point iteration that inverts a sensor; each takes its error to its square or better
 CHUNK = 32  # windows per call of the compiled kernel
 
-_usual: ContextVar[int] = ContextVar("threads", default=1)
+_threads: ContextVar[int] = ContextVar("threads", default=1)
 
 TEMPLATE = """
 #include <math.h>
@@ -284,12 +284,12 @@ OWN = """        if (on[{column}])
 
 @contextmanager
 def on_threads(count: int) -> Iterator[None]:
-    """Let rollouts take so many threads where they are given none; those that other threads begin take one."""
-    before = _usual.set(count)
+    """Let rollouts take so many threads; those that other threads begin take one."""
+    before = _threads.set(count)
     try:
         yield
     finally:
-        _usual.reset(before)
+        _threads.reset(before)
 
 
 @dataclass(frozen=True)
@@ -388,7 +388,7 @@ class Equations:
 class Rollout(Equations):
     """The rollouts of a vehicle structure and their sensitivities, compiled where a compiler is at hand.
 
-    Each call takes as many threads as it is given, else those of `on_threads`.
+    Each call takes the threads of `on_threads`, else one.
     """
 
     def __init__(
@@ -414,7 +414,7 @@ class Rollout(Equations):
         table = values(self.vehicle)
         return np.array([float(table[name]) for name in [*self.names, *self.given]])
 
-    def simulate(self, parameters: Array, windows: Windows, threads: int | None = None) -> Array:
+    def simulate(self, parameters: Array, windows: Windows) -> Array:
         """Return the states (T + 1, S, W) of all windows, for parameters (P,) or (P, W); only active rows count."""
         parameters = _per_window(parameters, windows)
         steps, h = self.steps(windows.dt)
@@ -430,17 +430,17 @@ class Rollout(Equations):
             _call(library.simulate, given, part.count, intervals, steps, h)
             return out
 
-        parts = _in_chunks(run, windows, parameters, threads)
+        parts = _in_chunks(run, windows, parameters)
         return np.concatenate(parts, axis=2)
 
-    def predict(self, parameters: Array, windows: Windows, threads: int | None = None) -> Array:
+    def predict(self, parameters: Array, windows: Windows) -> Array:
         """Return the observed channels (T + 1, C, W) of all windows, as sensors show them."""
-        states = torch.as_tensor(self.simulate(parameters, windows, threads))
+        states = torch.as_tensor(self.simulate(parameters, windows))
         table = torch.as_tensor(np.array(_per_window(parameters, windows)))
         shown = self.observe(states.unbind(1), table.unbind(0), TORCH)
         return torch.stack(torch.broadcast_tensors(*shown), dim=1).numpy()
 
-    def squares(self, parameters: Array, windows: Windows, threads: int | None = None) -> Array:
+    def squares(self, parameters: Array, windows: Windows) -> Array:
         """Return every window's squared weighted errors, summed per channel (W, C)."""
         parameters = _per_window(parameters, windows)
         steps, h = self.steps(windows.dt)
@@ -454,13 +454,12 @@ class Rollout(Equations):
             _call(library.squares, given, part.count, len(windows.inputs), steps, h)
             return out
 
-        return np.concatenate(_in_chunks(run, windows, parameters, threads))
+        return np.concatenate(_in_chunks(run, windows, parameters))
 
     def accumulate(
         self,
         parameters: Array,
         windows: Windows,
-        threads: int | None = None,
         columns: Sequence[int] | None = None,
         silent: Collection[str] = (),
     ) -> NormalEquations:
@@ -485,7 +484,7 @@ class Rollout(Equations):
             _call(library.accumulate, given, part.count, intervals, steps, h, slot, on)
             return out
 
-        parts = _in_chunks(run, windows, parameters, threads)
+        parts = _in_chunks(run, windows, parameters)
         return NormalEquations(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
     def steps(self, dt: float) -> tuple[int, float]:
@@ -500,9 +499,9 @@ def _per_window(parameters: Array, windows: Windows) -> Array:
     return np.broadcast_to(columns, (len(parameters), windows.count))
 
 
-def _in_chunks(run: Any, windows: Windows, parameters: Array, threads: int | None) -> list[Any]:
+def _in_chunks(run: Any, windows: Windows, parameters: Array) -> list[Any]:
     """Call `run` on chunks of windows, in order, the compiled kernel letting other threads work; on all of few."""
-    threads = _usual.get() if threads is None else threads
+    threads = _threads.get()
     if threads == 1 or windows.count <= CHUNK:
         return [run(windows, parameters)]
     parts = [slice(first, first + CHUNK) for first in range(0, windows.count, CHUNK)]

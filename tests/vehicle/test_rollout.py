@@ -109,7 +109,9 @@ def test_threads_and_neighbours_change_nothing(car):
     windows = windows_for(car, count=200)
     rollout = Rollout(car, NAMES, OBSERVED)
     theta = rollout.nominal()
-    one, two = rollout.accumulate(theta, windows, 1), rollout.accumulate(theta, windows, 2)
+    one = rollout.accumulate(theta, windows)
+    with rollout_module.on_threads(2):
+        two = rollout.accumulate(theta, windows)
     alone = rollout.accumulate(theta, windows.take(np.array([77])))
     assert np.array_equal(one.H, two.H) and np.array_equal(one.g, two.g)
     assert np.allclose(one.H[77], alone.H[0], rtol=1e-12)
@@ -148,14 +150,15 @@ def test_threads_may_take_turns_anywhere_in_a_call(car, monkeypatch):
     expected = rollout.accumulate(theta, windows)
     threading.settrace(turn)
     try:
-        got = rollout.accumulate(theta, windows, threads=8)
+        with rollout_module.on_threads(8):
+            got = rollout.accumulate(theta, windows)
     finally:
         threading.settrace(None)
     assert np.array_equal(got.H, expected.H) and np.array_equal(got.squares, expected.squares)
 
 
 @needs_compiler
-def test_usual_threads_are_those_of_one_thread_and_change_nothing(car, monkeypatch):
+def test_threads_are_those_of_one_thread_and_change_nothing(car, monkeypatch):
     windows = windows_for(car, count=5 * rollout_module.CHUNK + 3)
     rollout, asked = Rollout(car, NAMES, OBSERVED), []
 
@@ -182,7 +185,8 @@ def test_squares_are_those_of_what_is_predicted(car, compiled, monkeypatch):
     rollout = Rollout(car, NAMES, OBSERVED) if compiled else without_compiler(car, NAMES, OBSERVED, monkeypatch)
     theta = rollout.nominal() * 1.1
     errors = windows.weight * (rollout.predict(theta, windows) - windows.measured)
-    assert np.allclose(rollout.squares(theta, windows, threads=2), (errors**2).sum(axis=0).T, rtol=1e-9)
+    with rollout_module.on_threads(2):
+        assert np.allclose(rollout.squares(theta, windows), (errors**2).sum(axis=0).T, rtol=1e-9)
     assert np.allclose(rollout.squares(theta, windows), rollout.accumulate(theta, windows).squares, rtol=1e-9)
 
 
@@ -199,7 +203,8 @@ def test_windows_may_have_parameters_of_their_own(car, compiled, monkeypatch):
     apart = [rollout.accumulate(theta, windows) for theta in sets]
     both = windows.take(np.tile(np.arange(windows.count), 2))
     table = np.repeat(np.stack(sets, axis=1), windows.count, axis=1)
-    together = rollout.accumulate(table, both, threads=2)
+    with rollout_module.on_threads(2):
+        together = rollout.accumulate(table, both)
     for part in ("H", "g", "squares"):
         expected = np.concatenate([getattr(one, part) for one in apart])
         assert np.allclose(getattr(together, part), expected, rtol=1e-9, atol=1e-9)
