@@ -27,6 +27,7 @@ from racerl.vehicle.load import load_vehicle
 NAMED = ("named", "multiple")
 ALONG = {("lever_arm", "forward"), ("cog_longitudinal_offset", "offset")}  # places, from the centre of gravity
 WITHHELD = "withheld"  # the set of cases whose truth the catalogue lacks
+USUAL = ("single_track", "ideal")  # structure and sensors of a car
 
 
 @dataclass(frozen=True)
@@ -89,9 +90,10 @@ class Gap:
 
 
 def kind_of_car(key: dict[str, Any]) -> str:
-    """Return a car's tyre, the speed that its slips are over, and what its sensors do, if anything, beside noise."""
-    sensors = key.get("sensors", "ideal")
-    return ", ".join([str(key.get("tyre")), str(key.get("slip")), *([sensors] if sensors != "ideal" else [])])
+    """Return a car's tyre, the speed that its slips are over, and what its wheels and sensors are beside usual ones."""
+    structure, sensors = key.get("structure", USUAL[0]), key.get("sensors", USUAL[1])
+    unusual = [what for what in (structure, sensors) if what not in USUAL]
+    return ", ".join([str(key.get("tyre")), str(key.get("slip")), *unusual])
 
 
 def _case(hidden: Iterable[str], rounds: Sequence[dict[str, Any]]) -> Case:

@@ -149,11 +149,13 @@ def test_probabilities_are_scored_by_how_often_they_are_right(monkeypatch):
     assert probabilities([case([], "none", kind="clean", hypotheses=[((), 1.0)])])["one_covered"] is None
 
 
-def test_cars_with_other_sensors_are_of_another_kind():
-    """Rules are judged on a kind of car that they were not fitted to; keys of before know of no sensors."""
+def test_cars_with_other_sensors_or_wheels_are_of_another_kind():
+    """Rules are judged on a kind of car that they were not fitted to; keys of before know of neither."""
     key = {"tyre": "brush", "slip": "surface"}
-    assert kind_of_car(key) == kind_of_car({**key, "sensors": "ideal"}) == "brush, surface"
+    usual = {**key, "sensors": "ideal", "structure": "single_track"}
+    assert kind_of_car(key) == kind_of_car(usual) == "brush, surface"
     assert kind_of_car({**key, "sensors": "bent"}) == "brush, surface, bent"
+    assert kind_of_car({**usual, "structure": "ackermann"}) == "brush, surface, ackermann"
 
 
 def test_a_rule_is_fitted_to_what_the_rounds_of_cases_saw():
