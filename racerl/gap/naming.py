@@ -21,14 +21,17 @@ from racerl.gap.progress import OnProgress, silent, within
 from racerl.gap.score import Score, summed
 from racerl.gap.screening import Screened, gainful, hopeful, lost, scores, screen, shortlist
 from racerl.gap.shapes import other_shape
+from racerl.vehicle.effects import Effect
 
 ROUNDS = 4
 REVIEW = 0.9  # share of the naming behind which effects are judged again
 SCREENED, FITTED = 0.5, 0.7  # shares of a round behind which candidates are screened, and begun to be fitted
 
 
-def name_effects(investigation: Investigation, on_progress: OnProgress = silent) -> Decision:
-    """Return the effects that held-out windows ask for."""
+def name_effects(
+    investigation: Investigation, on_progress: OnProgress = silent, starts: dict[str, list[Effect]] | None = None
+) -> Decision:
+    """Return the effects that held-out windows ask for; `starts`: of their screening, in place of usual ones."""
     base = investigation.base
     on_progress("first-order gains", 0.0)
     cost = held_out(investigation, base)
@@ -36,7 +39,8 @@ def name_effects(investigation: Investigation, on_progress: OnProgress = silent)
     score = summed(ahead.values())
     judge = Judge(investigation, cost, score)
     first = [excess(investigation, cost, investigation.floor)]
-    decision = Decision(base, cost, dict(investigation.floor), investigation, {}, score, excess=first)
+    floor = dict(investigation.floor)
+    decision = Decision(base, cost, floor, investigation, {}, score, excess=first, starts=starts or {})
     for number in range(ROUNDS):
         if number:
             ahead = scores(investigation, decision.found)
@@ -45,7 +49,7 @@ def name_effects(investigation: Investigation, on_progress: OnProgress = silent)
         while rows and rows[0].needed and passes_less_noise(judge, decision, rows[0]):
             rows = judge.ranked(rows[1:], decision.cost)
         if (shaped := other_shape(judge, decision, rows)) is not None:
-            return name_effects(shaped, within(on_progress, part[1], 1.0))
+            return name_effects(shaped, within(on_progress, part[1], 1.0), decision.ends)
         decision.rounds.append(rows)
         decision.features.append(seen := features(judge, decision, rows))
         if not rows or not rows[0].needed:
@@ -67,7 +71,7 @@ def _round(
 
     def screened(name: str) -> Screened | None:
         fitted = [row.found.vehicle.effects[name] for rows in decision.rounds for row in rows if row.name == name]
-        return screen(investigation, current, name, fitted)
+        return screen(investigation, current, name, fitted, decision.starts.get(name))
 
     def added(one: Screened) -> FittedModel:
         return add(investigation, current, one.name, one.vehicle)
@@ -82,9 +86,12 @@ def _round(
     asked = shortlist(ahead, lost(investigation, current))
     tried = each(screened, asked, within(on_progress, 0.0, SCREENED))
     shown = [one for one in tried if one is not None]
+    decision.ends.update({one.name: [one.vehicle.effects[one.name]] for one in shown if one.gain > 0.0})
     chosen = {one.name: one for stage, score in ahead.items() for one in hopeful(shown, score, stage)}
     fitted = within(on_progress, SCREENED, FITTED)
     fits = each(added, list(chosen.values()), lambda one, share: fitted(one.name, share))
     scoring = within(on_progress, FITTED, 1.0)
     rows = each(scored, gainful(investigation, current, fits), lambda found, share: scoring(name_of(found), share))
+    for row in rows:
+        decision.ends.setdefault(row.name, []).append(row.found.vehicle.effects[row.name])
     return judge.ranked(rows, decision.cost)

@@ -143,6 +143,8 @@ def test_an_effect_is_found_on_a_double_track():
     decision = name_effects(investigate(log, "yaw_damping", "locked_differential", "steering_nonlinearity"))
     assert decision.chosen == ["yaw_damping"] and shapes_of(decision.found) == [DOUBLE_TRACK]
     assert float(decision.found.vehicle.effects["yaw_damping"].coefficient) == pytest.approx(0.15, rel=0.1)
+    before, *_ = decision.starts["yaw_damping"]  # as naming left it before it began anew
+    assert before.coefficient != 0.15 and float(before.coefficient) == pytest.approx(0.15, rel=0.5)
 
 
 def test_a_shape_that_changes_nothing_is_none():
