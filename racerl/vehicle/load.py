@@ -27,7 +27,16 @@ def load_vehicle(settings: Mapping[str, Any], drive: str = "wheel_speed", actuat
 
     `drive` is wheel_speed or motor_current; without `actuators` commands act at once. Raises VehicleError.
     """
-    settings = _with_file(settings)
+    whole = _with_file(settings)
+    try:
+        return _built(whole, drive, actuators)
+    except VehicleError as error:
+        if whole is settings:
+            raise
+        raise VehicleError(f"{error} (vehicle={settings['file']})") from error
+
+
+def _built(settings: Mapping[str, Any], drive: str, actuators: bool) -> Vehicle:
     if not isinstance(drive, str) or drive not in DRIVES:
         raise VehicleError(f"unknown drive mode '{drive}'{suggest(drive, DRIVES)}")
     parts: dict[str, Any] = {}

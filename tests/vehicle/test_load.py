@@ -55,6 +55,13 @@ def test_mistakes_are_named_in_one_line(settings, path, value, said):
     assert all(word in str(error.value) for word in said) and "\n" not in str(error.value)
 
 
+def test_a_mistake_in_a_file_is_told_with_its_name(settings, tmp_path):
+    del settings["rear"]
+    write_yaml(tmp_path / "model.yaml", settings)
+    with pytest.raises(RacerlError, match=r"'rear' is missing; .* \(vehicle=.*model\.yaml\)$"):
+        load_vehicle({"file": str(tmp_path / "model.yaml")})
+
+
 def test_unknown_drive_mode(settings):
     with pytest.raises(RacerlError, match="wheel_speed"):
         load_vehicle(settings, drive="wheel_sped")
