@@ -490,9 +490,10 @@ def wheel_by_wheel(car: Vehicle, state: torch.Tensor, width: float, ackermann: f
         push = omega - (v_x * math.cos(angle) + (v_y + r * X) * math.sin(angle))
         for Y in (0.5 * width, -0.5 * width):
             ahead, aside = v_x - r * Y, v_y + r * X
+            if steered:  # cot δ_left = cot δ − Y/L
+                angle = math.atan(1.0 / (1.0 / math.tan(delta) - ackermann * Y / float(car.wheelbase)))
             rolling = ahead * math.cos(angle) + aside * math.sin(angle)
             across = aside * math.cos(angle) - ahead * math.sin(angle)
-            across -= ackermann * r * Y * math.sin(angle)  # what its own steering angle takes away
             F_x, F_y = (
                 0.5 * float(f) for f in tyre.forces(push / rolling, -across / rolling, load, car.friction, TORCH)
             )

@@ -1,9 +1,10 @@
 """Two wheels on each axle, which turn freely of each other, in place of one in the middle.
 
-Formula: the wheels of an axle stand w/2 to its left and right. They roll at V ∓ w r cos δ/2 where the middle rolls at V
-    (δ = 0 at the rear), so that slips become κ V/(V ∓ w r cos δ/2) and (α* V ∓ (1 − A) w r sin δ/2)/(V ∓ w r cos δ/2):
-    with A = 1 the front wheels stand on one circle (Ackermann), with A = 0 they are parallel. Each wheel has half of
-    its axle's load and force; M_z ← M_z − (w/4) Σ_axles (F_left − F_right), F along the car.
+Formula: the wheels of an axle stand at Y = ±w/2, left and right of its middle. A front wheel points along
+    (cos δ − A (Y/L) sin δ, sin δ): with A = 1 both turn about one point in line with the rear axle (Ackermann), with
+    A = 0 they are parallel. It moves with (V_x, V_y) in its own frame where one in the middle moves with (V_xm, V_ym),
+    so that slips become κ V_m/V and (α* V_m − V_y + V_ym)/V. Each wheel has half of its axle's load and force, which
+    turns with it; M_z ← M_z − (w/4) Σ_axles (F_left − F_right), F along the car.
 Source: the double-track model with open differentials and without load transfer: geometry.
 In data: tight turns, where the inner wheels slip more than the outer ones; power on resists turning.
 Excited by: tight turns at low speed, power on and off.
@@ -59,15 +60,26 @@ class DoubleTrack(Effect):
         return wrench._replace(M_z=wrench.M_z - 0.25 * self.track_width * (front + left.F_xr - right.F_xr))
 
     def _side(self, side: float, forces: "Forces", slips: "Slips", motion: "Motion", ops: Ops) -> Side:
-        """Return the forces at the slips of one side's wheels: 1 the left, −1 the right."""
-        car, apart = motion.car, 0.5 * side * self.track_width * motion.yaw_rate
-        V_x = car.front_velocity(motion, ops)[0]
-        V_f, V_r = car.slip_speed(V_x, ops), car.slip_speed(motion.v_x, ops)
-        front = V_f / car.slip_speed(V_x - apart * ops.cos(motion.delta), ops)
-        rear = V_r / car.slip_speed(motion.v_x - apart, ops)
-        alpha_f = slips.alpha_f - (1.0 - self.ackermann) * apart * ops.sin(motion.delta) / V_f
-        own = type(slips)(slips.kappa_f * front, alpha_f * front, slips.kappa_r * rear, slips.alpha_r * rear)
-        return self._tyres(own, forces, motion, ops)
+        """Return the forces of one side's wheels, 1 the left, −1 the right, in the frames of those in the middle."""
+        car, Y = motion.car, 0.5 * side * self.track_width
+        V_xm, V_ym = car.front_velocity(motion, ops)
+        ahead, aside = motion.v_x - Y * motion.yaw_rate, motion.v_y + car.arm * motion.yaw_rate
+        cos, sin, turned_cos, turned_sin = self._direction(Y, motion, ops)
+        V_m, V_f = car.slip_speed(V_xm, ops), car.slip_speed(ahead * cos + aside * sin, ops)
+        rear = car.slip_speed(motion.v_x, ops) / car.slip_speed(ahead, ops)
+        alpha_f = (slips.alpha_f * V_m - (aside * cos - ahead * sin) + V_ym) / V_f
+        seen = type(slips)(slips.kappa_f * V_m / V_f, alpha_f, slips.kappa_r * rear, slips.alpha_r * rear)
+        own = self._tyres(seen, forces, motion, ops)
+        along = own.F_xf * turned_cos - own.F_yf * turned_sin
+        return own._replace(F_xf=along, F_yf=own.F_xf * turned_sin + own.F_yf * turned_cos)
+
+    def _direction(self, Y: Scalar, motion: "Motion", ops: Ops) -> tuple[Scalar, Scalar, Scalar, Scalar]:
+        """Return cosine and sine of the angle of the front wheel at Y, and of how far it is turned from δ."""
+        sin, cos = ops.sin(motion.delta), ops.cos(motion.delta)
+        share = self.ackermann * Y / motion.car.wheelbase
+        ahead = cos - share * sin
+        length = ops.sqrt(ahead * ahead + sin * sin)
+        return ahead / length, sin / length, (1.0 - share * sin * cos) / length, share * sin * sin / length
 
     def _tyres(self, slips: "Slips", forces: "Forces", motion: "Motion", ops: Ops) -> Side:
         """Return the forces at given slips, by the tyres' formulas."""
