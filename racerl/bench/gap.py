@@ -27,7 +27,7 @@ from racerl.vehicle.load import load_vehicle
 NAMED = ("named", "multiple")
 ALONG = {("lever_arm", "forward"), ("cog_longitudinal_offset", "offset")}  # places, from the centre of gravity
 WITHHELD = "withheld"  # the set of cases whose truth the catalogue lacks
-USUAL = ("single_track", "ideal")  # structure and sensors of a car
+USUAL = {"structure": "single_track", "sensors": "ideal"}
 
 
 @dataclass(frozen=True)
@@ -90,9 +90,8 @@ class Gap:
 
 
 def kind_of_car(key: dict[str, Any]) -> str:
-    """Return a car's tyre, the speed that its slips are over, and what its wheels and sensors are beside usual ones."""
-    structure, sensors = key.get("structure", USUAL[0]), key.get("sensors", USUAL[1])
-    unusual = [what for what in (structure, sensors) if what not in USUAL]
+    """Return a car's tyre, the speed that its slips are over, and its wheels and sensors where they are unusual."""
+    unusual = [key[part] for part, usual in USUAL.items() if key.get(part, usual) != usual]
     return ", ".join([str(key.get("tyre")), str(key.get("slip")), *unusual])
 
 

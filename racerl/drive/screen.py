@@ -6,7 +6,6 @@ grip, red from the slip at which the published tyres grip most.
 
 import math
 import os
-import tempfile
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from types import TracebackType
@@ -84,7 +83,7 @@ class Screen:
     def __enter__(self) -> "Screen":
         # a flat picture needs no GPU, whose driver keeps a cache that kills the process on a full disk
         os.environ.setdefault("SDL_FRAMEBUFFER_ACCELERATION", "0")
-        os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())  # else Wayland's library complains
+        os.environ.setdefault("XDG_RUNTIME_DIR", os.devnull)  # without it Wayland's library writes to the terminal
         try:
             pygame.display.init()
             pygame.font.init()

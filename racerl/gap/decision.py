@@ -14,7 +14,6 @@ from racerl.gap.fitted_model import FittedModel, better_half_way
 from racerl.gap.investigation import Investigation
 from racerl.gap.noise import noise_cost
 from racerl.gap.score import Score
-from racerl.vehicle.effects import Effect
 
 Array = NDArray[np.float64]
 CARRIED = 3  # times that the fit of what was chosen is carried on, unless it is at its end before
@@ -33,8 +32,6 @@ class Decision(Standing):
     rounds: list[list[CandidateScore]] = field(default_factory=list)
     features: list[dict[str, Any]] = field(default_factory=list)  # of every round
     excess: list[float] = field(default_factory=list)  # of the cost over the noise, before each round and at the end
-    starts: dict[str, list[Effect]] = field(default_factory=dict)  # of screening; of effects that have none, usual ones
-    ends: dict[str, list[Effect]] = field(default_factory=dict)  # every candidate that gained, as its fits left it
     doubted: str = ""  # what held-out windows ask for beside these effects, though it is rather of no catalogue
 
     @property

@@ -3,10 +3,10 @@
 Round by round the effect that helps most on held-out windows is added, until none helps significantly, or simulated
 cars say that rather none is missing; then backward elimination judges every one again beside those found after it.
 Where a vehicle of another shape, a double track or tyres of another formula, helps more than any, naming begins anew
-with that.
+with that, and looks for effects where it had found them, too.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 from racerl.gap.candidates import add, converged
 from racerl.gap.comparison import CandidateScore, Judge, excess
@@ -21,7 +21,6 @@ from racerl.gap.progress import OnProgress, silent, within
 from racerl.gap.score import Score, summed
 from racerl.gap.screening import Screened, gainful, hopeful, lost, scores, screen, shortlist
 from racerl.gap.shapes import other_shape
-from racerl.vehicle.effects import Effect
 
 ROUNDS = 4
 REVIEW = 0.9  # share of the naming behind which effects are judged again
@@ -29,9 +28,9 @@ SCREENED, FITTED = 0.5, 0.7  # shares of a round behind which candidates are scr
 
 
 def name_effects(
-    investigation: Investigation, on_progress: OnProgress = silent, starts: dict[str, list[Effect]] | None = None
+    investigation: Investigation, on_progress: OnProgress = silent, fitted: Iterable[CandidateScore] = ()
 ) -> Decision:
-    """Return the effects that held-out windows ask for; `starts`: of their screening, in place of usual ones."""
+    """Return the effects that held-out windows ask for, looked for where they were `fitted` before, too."""
     base = investigation.base
     on_progress("first-order gains", 0.0)
     cost = held_out(investigation, base)
@@ -39,17 +38,18 @@ def name_effects(
     score = summed(ahead.values())
     judge = Judge(investigation, cost, score)
     first = [excess(investigation, cost, investigation.floor)]
-    floor = dict(investigation.floor)
-    decision = Decision(base, cost, floor, investigation, {}, score, excess=first, starts=starts or {})
+    decision = Decision(base, cost, dict(investigation.floor), investigation, {}, score, excess=first)
+    known = list(fitted)
     for number in range(ROUNDS):
         if number:
             ahead = scores(investigation, decision.found)
         part = number * REVIEW / ROUNDS, (number + 1) * REVIEW / ROUNDS
-        rows = _round(judge, decision, ahead, within(on_progress, *part))
+        rows = _round(judge, decision, ahead, known, within(on_progress, *part))
         while rows and rows[0].needed and passes_less_noise(judge, decision, rows[0]):
             rows = judge.ranked(rows[1:], decision.cost)
+        known += rows
         if (shaped := other_shape(judge, decision, rows)) is not None:
-            return name_effects(shaped, within(on_progress, part[1], 1.0), decision.ends)
+            return name_effects(shaped, within(on_progress, part[1], 1.0), known)
         decision.rounds.append(rows)
         decision.features.append(seen := features(judge, decision, rows))
         if not rows or not rows[0].needed:
@@ -63,15 +63,19 @@ def name_effects(
 
 
 def _round(
-    judge: Judge, decision: Decision, ahead: Mapping[str, Score], on_progress: OnProgress
+    judge: Judge,
+    decision: Decision,
+    ahead: Mapping[str, Score],
+    known: Sequence[CandidateScore],
+    on_progress: OnProgress,
 ) -> list[CandidateScore]:
-    """Return the candidates beside those chosen, on held-out windows, best first."""
+    """Return the candidates beside those chosen, on held-out windows, best first; `known` are those of before."""
     investigation, current = judge.investigation, decision.found
     each = investigation.workers.each
 
     def screened(name: str) -> Screened | None:
-        fitted = [row.found.vehicle.effects[name] for rows in decision.rounds for row in rows if row.name == name]
-        return screen(investigation, current, name, fitted, decision.starts.get(name))
+        fitted = [row.found.vehicle.effects[name] for row in known if row.name == name]
+        return screen(investigation, current, name, fitted)
 
     def added(one: Screened) -> FittedModel:
         return add(investigation, current, one.name, one.vehicle)
@@ -86,12 +90,9 @@ def _round(
     asked = shortlist(ahead, lost(investigation, current))
     tried = each(screened, asked, within(on_progress, 0.0, SCREENED))
     shown = [one for one in tried if one is not None]
-    decision.ends.update({one.name: [one.vehicle.effects[one.name]] for one in shown if one.gain > 0.0})
     chosen = {one.name: one for stage, score in ahead.items() for one in hopeful(shown, score, stage)}
     fitted = within(on_progress, SCREENED, FITTED)
     fits = each(added, list(chosen.values()), lambda one, share: fitted(one.name, share))
     scoring = within(on_progress, FITTED, 1.0)
     rows = each(scored, gainful(investigation, current, fits), lambda found, share: scoring(name_of(found), share))
-    for row in rows:
-        decision.ends.setdefault(row.name, []).append(row.found.vehicle.effects[row.name])
     return judge.ranked(rows, decision.cost)

@@ -98,20 +98,16 @@ def hopeful(tried: Sequence[Screened], ahead: Score, stage: str) -> list[Screene
 
 
 def screen(
-    investigation: Investigation,
-    base: FittedModel,
-    name: str,
-    fitted: Sequence[Effect] = (),
-    starts: Sequence[Effect] | None = None,
+    investigation: Investigation, base: FittedModel, name: str, fitted: Sequence[Effect] = ()
 ) -> Screened | None:
     """Add an effect to a fitted vehicle: a few steps from each of its usual sizes, on a share of the windows.
 
-    It starts as it was `fitted` beside fewer effects, too, and from `starts`, where given, in place of usual sizes.
-    Where the fit is astray, the best of these ends starts again with all parameters but the effects' as configured.
-    Return the best; None where no stage shows the effect.
+    It starts as it was `fitted` beside fewer effects, too. Where the fit is astray, the best of these ends starts again
+    with all parameters but the effects' as configured. Return the best; None where no stage shows the effect.
     """
-    usual = _likely(investigation, base, name) if starts is None else starts
-    likely = [joined(investigation, base.vehicle, name, each) for each in (*usual, *fitted)]
+    likely = [
+        joined(investigation, base.vehicle, name, each) for each in (*_likely(investigation, base, name), *fitted)
+    ]
     stages = touched(investigation, likely[0], [name]) if likely else []
     if not stages:
         return None

@@ -125,7 +125,7 @@ def _training(real: str, words: Sequence[str], compose: Compose) -> dict[str, An
         if told.startswith(f"vehicle = {real}:"):
             told = "real" + told.removeprefix("vehicle")
         elif isinstance(error, VehicleError):
-            told = f"real = {real}: {told}"
+            told = f"real = {real}: {told.removesuffix(f' (with vehicle={real})')}"
         raise type(error)(told) from error
     return training
 

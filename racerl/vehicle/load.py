@@ -7,7 +7,7 @@ from typing import Any
 
 from racerl import registry
 from racerl.documents import read_yaml
-from racerl.errors import VehicleError, suggest
+from racerl.errors import ConfigError, VehicleError, suggest
 from racerl.vehicle import bodies as bodies_package
 from racerl.vehicle import effects as effects_package
 from racerl.vehicle.actuator import FirstOrder, MotorCurrent
@@ -27,18 +27,18 @@ def load_vehicle(settings: Mapping[str, Any], drive: str = "wheel_speed", actuat
 
     `drive` is wheel_speed or motor_current; without `actuators` commands act at once. Raises VehicleError.
     """
+    if not isinstance(drive, str) or drive not in DRIVES:
+        raise VehicleError(f"unknown drive mode '{drive}'{suggest(drive, DRIVES)}")
+    if "file" not in settings:
+        return _built(settings, drive, actuators)
     whole = _with_file(settings)
     try:
         return _built(whole, drive, actuators)
-    except VehicleError as error:
-        if whole is settings:
-            raise
-        raise VehicleError(f"{error} (vehicle={settings['file']})") from error
+    except (VehicleError, ConfigError) as error:
+        raise type(error)(f"{error} (with vehicle={settings['file']})") from error
 
 
 def _built(settings: Mapping[str, Any], drive: str, actuators: bool) -> Vehicle:
-    if not isinstance(drive, str) or drive not in DRIVES:
-        raise VehicleError(f"unknown drive mode '{drive}'{suggest(drive, DRIVES)}")
     parts: dict[str, Any] = {}
     for name, cls in COMPONENTS.items():
         if name not in settings:

@@ -284,7 +284,7 @@ OWN = """        if (on[{column}])
 
 @contextmanager
 def on_threads(count: int) -> Iterator[None]:
-    """Let rollouts take so many threads; those that other threads begin take one."""
+    """Let rollouts take so many threads; those begun in other threads take one."""
     before = _threads.set(count)
     try:
         yield

@@ -566,10 +566,9 @@ def test_candidates_in_several_threads_are_those_in_one(damped):
 
 
 @needs_compiler
-def test_an_effect_starts_as_it_was_fitted_before_too_and_from_ends_in_place_of_usual_sizes(damped, monkeypatch):
+def test_an_effect_starts_as_it_was_fitted_before_too(damped, monkeypatch):
     investigation = investigate(damped, "yaw_damping")
-    usual = investigation.catalogue["yaw_damping"]
-    fitted, end = (dataclasses.replace(usual[0], coefficient=each) for each in (0.123, 0.077))
+    fitted = dataclasses.replace(investigation.catalogue["yaw_damping"][0], coefficient=0.123)
     tried = []
 
     def record(investigation, base, name, vehicle, stages):
@@ -578,10 +577,7 @@ def test_an_effect_starts_as_it_was_fitted_before_too_and_from_ends_in_place_of_
 
     monkeypatch.setattr(screening, "_try", record)
     screen(investigation, investigation.base, "yaw_damping", [fitted])
-    assert {*usual, fitted} <= set(tried)
-    tried.clear()
-    screen(investigation, investigation.base, "yaw_damping", [fitted], [end])
-    assert set(tried) == {fitted, end}
+    assert set(investigation.catalogue["yaw_damping"]) | {fitted} <= set(tried)
 
 
 @needs_compiler

@@ -55,10 +55,13 @@ def test_mistakes_are_named_in_one_line(settings, path, value, said):
     assert all(word in str(error.value) for word in said) and "\n" not in str(error.value)
 
 
-def test_a_mistake_in_a_file_is_told_with_its_name(settings, tmp_path):
-    del settings["rear"]
+@pytest.mark.parametrize(
+    ("path", "value", "said"), [("rear", None, "'rear' is missing"), ("effects", {"aero_drug": {}}, "aero_drag")]
+)
+def test_a_mistake_in_a_file_is_told_with_its_name(settings, path, value, said, tmp_path):
+    change(settings, path, value)
     write_yaml(tmp_path / "model.yaml", settings)
-    with pytest.raises(RacerlError, match=r"'rear' is missing; .* \(vehicle=.*model\.yaml\)$"):
+    with pytest.raises(RacerlError, match=rf"{said}.* \(with vehicle=.*model\.yaml\)$"):
         load_vehicle({"file": str(tmp_path / "model.yaml")})
 
 

@@ -3,8 +3,9 @@
 Formula: the wheels of an axle stand at Y = ±w/2, left and right of its middle. A front wheel points along
     (cos δ − A (Y/L) sin δ, sin δ): with A = 1 both turn about one point in line with the rear axle (Ackermann), with
     A = 0 they are parallel. It moves with (V_x, V_y) in its own frame where one in the middle moves with (V_xm, V_ym),
-    so that slips become κ V_m/V and (α* V_m − V_y + V_ym)/V. Each wheel has half of its axle's load and force, which
-    turns with it; M_z ← M_z − (w/4) Σ_axles (F_left − F_right), F along the car.
+    so that slips become κ V_m/V and (α* V_m − V_y + V_ym)/V, V of V_x as in the vehicle's equations. Each wheel has
+    half of its axle's load and force, which turns with it; M_z ← M_z − (w/4) Σ_axles (F_left − F_right), F along the
+    car.
 Source: the double-track model with open differentials and without load transfer: geometry.
 In data: tight turns, where the inner wheels slip more than the outer ones; power on resists turning.
 Excited by: tight turns at low speed, power on and off.

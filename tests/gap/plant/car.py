@@ -246,7 +246,8 @@ class Plant:
             angle = effect.road_wheel(now, angle)
         if self.structure == ON_ONE_CIRCLE:  # about a point in line with the rear axle
             tan = np.tan(angle)
-            angle = np.arctan(tan / (1.0 - self.wheels.Y[:n] * tan / self.cars["wheelbase"]))
+            Y = self.wheels.Y[:n] - self.wheels.Y[:n].mean(axis=0)
+            angle = np.arctan(tan / (1.0 - Y * tan / self.cars["wheelbase"]))
         cos, sin = self.cos, self.sin
         cos[:n], sin[:n] = np.cos(angle), np.sin(angle)
         ahead = now.v_x - now.r * self.wheels.Y if self.has_width else now.v_x
