@@ -86,21 +86,24 @@ def _gap(judge: Judge, decision: Decision) -> bool:
 def _with_more(judge: Judge, decision: Decision, trial: Trial) -> Trial:
     """Return the trial, or one with a further shape that it asks for: so naming begins anew once, and not twice.
 
-    No effect is tried beside it there, so that it has to explain more than a part of one.
+    No effect is tried beside it there, so that it has to explain more than a part of one. It is fitted from where the
+    trial stands, which may have made up for it, and then both at once.
     """
-    judge = replace(judge, investigation=trial.investigation)
-    decision = replace(decision, found=trial.found, cost={**decision.cost, **trial.row.cost})
-    if _gap(judge, decision):
-        for more in _trials(judge, decision, []):
-            if more.row.clear and more.row.explained >= ALL:
-                return replace(more, unknowns=[*trial.unknowns, *more.unknowns])
-    return trial
+    cost = {**decision.cost, **trial.row.cost}
+    inside, after = replace(judge, investigation=trial.investigation), replace(decision, found=trial.found, cost=cost)
+    lacking = _lacking(inside)
+    if not lacking or not _gap(inside, after):
+        return trial
+    for more in _trials(inside, after, []):
+        if more.row.clear and more.row.explained >= ALL:
+            return replace(more, unknowns=[*trial.unknowns, *more.unknowns])
+    both = _trial(judge, replace(decision, cost=cost), [], _lacking(judge))
+    return both if both is not None and both.row.clear and both.row.explained >= ALL else trial
 
 
 def _trials(judge: Judge, decision: Decision, best: Sequence[CandidateScore]) -> Iterator[Trial]:
     """Fit one after another the shapes that the vehicle lacks, and all of them if the last one helps."""
-    new = [shape for shape in SHAPES if shape.name not in judge.investigation.vehicle.effects]
-    trial = None
+    new, trial = _lacking(judge), None
     for shape in new:
         trial = _trial(judge, decision, best, [shape])
         if trial is not None:
@@ -109,6 +112,10 @@ def _trials(judge: Judge, decision: Decision, best: Sequence[CandidateScore]) ->
         trial = _trial(judge, decision, best, new)
         if trial is not None:
             yield trial
+
+
+def _lacking(judge: Judge) -> list[Shape]:
+    return [shape for shape in SHAPES if shape.name not in judge.investigation.vehicle.effects]
 
 
 def _trial(judge: Judge, decision: Decision, best: Sequence[CandidateScore], shapes: Sequence[Shape]) -> Trial | None:
