@@ -86,19 +86,23 @@ def _gap(judge: Judge, decision: Decision) -> bool:
 def _with_more(judge: Judge, decision: Decision, trial: Trial) -> Trial:
     """Return the trial, or one with a further shape that it asks for: so naming begins anew once, and not twice.
 
-    No effect is tried beside it there, so that it has to explain more than a part of one. It is fitted from where the
-    trial stands, which may have made up for it, and then both at once.
+    No effect is tried beside it there, so that it has to explain more than a part of one.
     """
+    further = _further(judge, decision, trial)
+    return next((more for more in further if more.row.clear and more.row.explained >= ALL), trial)
+
+
+def _further(judge: Judge, decision: Decision, trial: Trial) -> Iterator[Trial]:
+    """Fit what a trial lacks from where it stands, which may have made up for that, and then both at once."""
     cost = {**decision.cost, **trial.row.cost}
     inside, after = replace(judge, investigation=trial.investigation), replace(decision, found=trial.found, cost=cost)
-    lacking = _lacking(inside)
-    if not lacking or not _gap(inside, after):
-        return trial
+    if not _lacking(inside) or not _gap(inside, after):
+        return
     for more in _trials(inside, after, []):
-        if more.row.clear and more.row.explained >= ALL:
-            return replace(more, unknowns=[*trial.unknowns, *more.unknowns])
+        yield replace(more, unknowns=[*trial.unknowns, *more.unknowns])
     both = _trial(judge, replace(decision, cost=cost), [], _lacking(judge))
-    return both if both is not None and both.row.clear and both.row.explained >= ALL else trial
+    if both is not None:
+        yield both
 
 
 def _trials(judge: Judge, decision: Decision, best: Sequence[CandidateScore]) -> Iterator[Trial]:
