@@ -15,7 +15,7 @@ states eliminated window by window.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,11 +121,12 @@ class Problem:
         for i, stage in enumerate(work):
             if initial is not None:
                 stage.take(theta, initial[i])
-        start = np.array([theta[name] for name in self.names]), [stage.initial for stage in work]
+        vector = np.array([theta[name] for name in self.names])
+        start = Place(vector, [stage.initial for stage in work], [None] * len(work))
         landscape = Landscape(self, work)
         end = descend(landscape, start, iterations, tolerance)
         landscape.put(end.place)  # the step tried last may have been in vain
-        return self._result(work, end.place[0], end.slope.lines, end.why)
+        return self._result(work, end.place.theta, end.slope.lines, end.why)
 
     def named(self, vector: Array) -> dict[str, float]:
         """Return θ by name."""
@@ -258,7 +259,12 @@ class Problem:
         return covariance
 
 
-Place = tuple[Array, list[Array]]  # θ and the initial states
+class Place(NamedTuple):
+    """θ, every stage's initial states (S, W), and the cost per window (W,) there, of stages in which it is known."""
+
+    theta: Array
+    initial: list[Array]
+    cost: list[Array | None]
 
 
 @dataclass(frozen=True)
@@ -279,26 +285,28 @@ class Landscape:
         """Return F at a place, and every stage there."""
         theta = self.put(place)
         lines = [stage.linearise(theta) for stage in self.work]
-        total = sum(line.loss for line in lines) + self.problem.prior(place[0])
+        total = sum(line.loss for line in lines) + self.problem.prior(place.theta)
         return Slope(total if np.isfinite(total) else np.inf, lines)
 
     def cost(self, place: Place) -> float:
         """Return F at a place."""
         theta = self.put(place)
-        return sum((stage.losses(theta) for stage in self.work), self.problem.prior(place[0]))
+        losses = (stage.losses(theta, cost) for stage, cost in zip(self.work, place.cost, strict=True))
+        return sum(losses, self.problem.prior(place.theta))
 
     def step(self, place: Place, slope: Slope, damping: float) -> Place:
         """Return where a damped step leads."""
         self.put(place)
-        vector = place[0]
-        trial = self.problem.step(slope.lines, vector, damping)
-        theta = self.problem.named(trial)
-        for stage, line in zip(self.work, slope.lines, strict=True):
-            stage.move(theta, line, (trial - vector)[self.problem.places(stage.problem)], damping)
-        return trial, [stage.initial for stage in self.work]
+        trial = self.problem.step(slope.lines, place.theta, damping)
+        theta, moved = self.problem.named(trial), trial - place.theta
+        cost = [
+            stage.move(theta, line, moved[self.problem.places(stage.problem)], damping)
+            for stage, line in zip(self.work, slope.lines, strict=True)
+        ]
+        return Place(trial, [stage.initial for stage in self.work], cost)
 
     def put(self, place: Place) -> dict[str, float]:
         """Put the windows' initial states there; return θ."""
-        for stage, initial in zip(self.work, place[1], strict=True):
+        for stage, initial in zip(self.work, place.initial, strict=True):
             stage.initial = initial
-        return self.problem.named(place[0])
+        return self.problem.named(place.theta)

@@ -133,21 +133,33 @@ class StageFit:
 
     def move(
         self, theta: Mapping[str, float], line: Linear, moved: Array, damping: float, *, wait: bool = False
-    ) -> None:
-        """Take the initial states' step when θ moves by `moved`.
+    ) -> Array | None:
+        """Take the initial states' step when θ moves by `moved`; return the cost per window (W,) where it is known.
 
-        Where own states make the way rough, a window that this does not help takes whichever damping leads it lowest.
+        Where own states make the way rough, or to `wait` for the states alone, a window that rises waits where it was;
+        on a rough way it takes whichever other damping leads it lowest.
         """
         kept, ways = self.initial, WAYS if self.remembers else ()
         first, *others = (kept + self.spread(line, moved, each) for each in (damping, *ways))
         self.initial = first
-        if self.remembers or wait:
-            self.begin(theta, first, kept)
-        stuck = np.flatnonzero((self.initial == kept).all(axis=0))
-        if others and len(stuck):
-            part = self.some(stuck)
-            part.begin(theta, *(each[:, stuck] for each in (*others, kept)))
-            self.initial[:, stuck] = part.initial
+        if not (self.remembers or wait):
+            return None
+        cost = np.nan_to_num(self.cost(theta), nan=np.inf)
+        self._instead(theta, cost, ~(cost < line.cost), kept)
+        self._instead(theta, cost, (self.initial == kept).all(axis=0), *others)
+        return cost
+
+    def _instead(self, theta: Mapping[str, float], cost: Array, doubtful: NDArray[np.bool_], *initials: Array) -> None:
+        """Start `doubtful` windows from other initial states (S, W) where these cost less, and lower that (W,)."""
+        chosen = np.flatnonzero(doubtful)
+        if not len(chosen):
+            return
+        part = self.some(chosen)
+        for initial in initials:
+            part.initial = initial[:, chosen]
+            there = part.cost(theta)
+            lower = there < cost[chosen]
+            cost[chosen[lower]], self.initial[:, chosen[lower]] = there[lower], part.initial[:, lower]
 
     def some(self, chosen: NDArray[np.int64]) -> "StageFit":
         """Return the work on some of the windows."""
@@ -189,10 +201,13 @@ class StageFit:
         windows, parameters = self._now(theta), self.problem.parameters(theta)
         return self.problem.rollout.predict(parameters, windows) - windows.measured
 
-    def losses(self, theta: Mapping[str, float]) -> float:
-        """Return the summed loss of the windows, n as where the fit began; infinite where one blew up."""
+    def losses(self, theta: Mapping[str, float], cost: Array | None = None) -> float:
+        """Return the summed loss of the windows, of their `cost` if that is known, n as where the fit began.
+
+        Infinite where one blew up.
+        """
         with np.errstate(all="ignore"):
-            total = float(pseudo_huber(self.cost(theta), self.usual).sum())
+            total = float(pseudo_huber(self.cost(theta) if cost is None else cost, self.usual).sum())
         return total if np.isfinite(total) else np.inf
 
     def cost(self, theta: Mapping[str, float]) -> Array:

@@ -390,9 +390,9 @@ def test_steps_that_do_not_help_cost_no_gradients(clean, monkeypatch):
     counts = {"linearise": 0, "losses": 0}
     for name, whole in (("linearise", StageFit.linearise), ("losses", StageFit.losses)):
 
-        def counted(work, theta, name=name, whole=whole):
+        def counted(work, *asked, name=name, whole=whole):
             counts[name] += 1
-            return whole(work, theta)
+            return whole(work, *asked)
 
         monkeypatch.setattr(StageFit, name, counted)
     far = replace_values(investigation.vehicle, {"yaw_inertia": 0.05, "front.p_Ky1": 3.0, "rear.p_Ky1": 1.0})
@@ -432,9 +432,10 @@ def test_a_window_that_its_step_does_not_help_takes_another_or_stays(clean, monk
     kept, steps = work.initial, {0.5: -1.0, WAYS[0]: 5.0, WAYS[1]: 7.0, WAYS[2]: 3.0}
     lateral = np.arange(len(kept))[:, None] == 4
     monkeypatch.setattr(work, "spread", lambda line, moved, damping: np.where(lateral, steps[damping], 0.0))
-    work.move({}, None, np.zeros(1), 0.5)
+    cost = work.move({}, work.linearise({}), np.zeros(1), 0.5)
     assert (kept != right).any(axis=0).mean() > 0.6
     np.testing.assert_allclose(work.initial, right, atol=1e-12)
+    np.testing.assert_allclose(cost, work.cost({}), rtol=1e-12)
 
 
 def test_an_absent_effect_changes_nothing_and_a_present_one_all(clean):
