@@ -87,7 +87,8 @@ def _round(
     def scored(found: FittedModel) -> CandidateScore:
         return judge.score(name_of(found), converged(investigation, found), decision)
 
-    asked = shortlist(ahead, lost(investigation, current))
+    before = {row.name for row in known} - current.effects  # first-order gains may have forgotten them
+    asked = list(dict.fromkeys([*shortlist(ahead, lost(investigation, current)), *sorted(before)]))
     tried = each(screened, asked, within(on_progress, 0.0, SCREENED))
     shown = [one for one in tried if one is not None]
     chosen = {one.name: one for stage, score in ahead.items() for one in hopeful(shown, score, stage)}
