@@ -6,14 +6,17 @@ from types import SimpleNamespace
 import pandas as pd
 import pytest
 
+import racerl.gap.naming as naming
 import racerl.gap.shapes as shapes
 from racerl.data.log import Log
 from racerl.gap.diagnose import gap
 from racerl.gap.investigation import DOUBLE_TRACK, TYRE_SHAPE
 from racerl.gap.naming import name_effects
+from racerl.gap.progress import silent
 from racerl.gap.screening import screen
 from racerl.gap.shapes import LARGE, SHAPES, in_order, said_of, shapes_of
 from racerl.gap.verdict import judge
+from racerl.gap.workers import Workers
 from racerl.vehicle.effects.double_track import DoubleTrack
 from racerl.vehicle.effects.tyre_shape import TyreShape
 from racerl.vehicle.load import load_vehicle
@@ -153,6 +156,22 @@ def test_an_effect_is_found_on_a_double_track(monkeypatch):
     assert float(decision.found.vehicle.effects["yaw_damping"].coefficient) == pytest.approx(0.15, rel=0.1)
     # where it was found on a single track it is looked for on the double one
     assert ("yaw_damping", [DOUBLE_TRACK]) in looked and ("yaw_damping", []) not in looked
+
+
+def test_what_was_found_before_is_screened_whatever_first_order_gains_say(monkeypatch):
+    asked = []
+    monkeypatch.setattr(naming, "shortlist", lambda ahead, astray: ["yaw_damping"])
+    monkeypatch.setattr(naming, "lost", lambda investigation, found: set())
+    monkeypatch.setattr(naming, "screen", lambda investigation, found, name, fitted: asked.append((name, fitted)))
+    investigation = SimpleNamespace(workers=Workers())
+    judging = SimpleNamespace(investigation=investigation, ranked=lambda rows, cost: rows)
+    decision = SimpleNamespace(found=SimpleNamespace(effects=frozenset({"aero_drag"})), cost={})
+    known = [
+        SimpleNamespace(name=name, found=SimpleNamespace(vehicle=SimpleNamespace(effects={name: f"as {name} was"})))
+        for name in ("yaw_damping", "aero_drag", "drive_split")
+    ]
+    assert naming._round(judging, decision, {}, known, silent) == []
+    assert asked == [("yaw_damping", ["as yaw_damping was"]), ("drive_split", ["as drive_split was"])]
 
 
 def test_a_shape_that_changes_nothing_is_none():
