@@ -3,7 +3,8 @@
 Round by round the effect that helps most on held-out windows is added, until none helps significantly, or simulated
 cars say that rather none is missing; then backward elimination judges every one again beside those found after it.
 Where a vehicle of another shape, a double track or tyres of another formula, helps more than any, naming begins anew
-with that, and looks for effects where it had found them, too.
+with that. What was fitted to its end before, in that naming or in an earlier round, is screened whatever first-order
+theory says, and starts from where it ended, too.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -30,7 +31,7 @@ SCREENED, FITTED = 0.5, 0.7  # shares of a round behind which candidates are scr
 def name_effects(
     investigation: Investigation, on_progress: OnProgress = silent, fitted: Iterable[CandidateScore] = ()
 ) -> Decision:
-    """Return the effects that held-out windows ask for, looked for where they were `fitted` before, too."""
+    """Return the effects that held-out windows ask for; what was `fitted` before starts from where it ended, too."""
     base = investigation.base
     on_progress("first-order gains", 0.0)
     cost = held_out(investigation, base)
@@ -87,7 +88,7 @@ def _round(
     def scored(found: FittedModel) -> CandidateScore:
         return judge.score(name_of(found), converged(investigation, found), decision)
 
-    before = {row.name for row in known} - current.effects  # first-order gains may have forgotten them
+    before = {row.name for row in known} - current.effects
     asked = list(dict.fromkeys([*shortlist(ahead, lost(investigation, current)), *sorted(before)]))
     tried = each(screened, asked, within(on_progress, 0.0, SCREENED))
     shown = [one for one in tried if one is not None]

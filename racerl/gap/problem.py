@@ -122,7 +122,7 @@ class Problem:
             if initial is not None:
                 stage.take(theta, initial[i])
         vector = np.array([theta[name] for name in self.names])
-        start = Place(vector, [stage.initial for stage in work], [None] * len(work))
+        start = Place(vector, [stage.initial for stage in work], [])
         landscape = Landscape(self, work)
         end = descend(landscape, start, iterations, tolerance)
         landscape.put(end.place)  # the step tried last may have been in vain
@@ -260,11 +260,11 @@ class Problem:
 
 
 class Place(NamedTuple):
-    """θ, every stage's initial states (S, W), and the cost per window (W,) there, of stages in which it is known."""
+    """θ, every stage's initial states (S, W), and what its windows cost there (W,), but for where a fit starts."""
 
     theta: Array
     initial: list[Array]
-    cost: list[Array | None]
+    cost: list[Array]
 
 
 @dataclass(frozen=True)
@@ -289,9 +289,8 @@ class Landscape:
         return Slope(total if np.isfinite(total) else np.inf, lines)
 
     def cost(self, place: Place) -> float:
-        """Return F at a place."""
-        theta = self.put(place)
-        losses = (stage.losses(theta, cost) for stage, cost in zip(self.work, place.cost, strict=True))
+        """Return F at a place that a step led to."""
+        losses = (stage.losses(cost) for stage, cost in zip(self.work, place.cost, strict=True))
         return sum(losses, self.problem.prior(place.theta))
 
     def step(self, place: Place, slope: Slope, damping: float) -> Place:

@@ -133,25 +133,24 @@ class StageFit:
 
     def move(
         self, theta: Mapping[str, float], line: Linear, moved: Array, damping: float, *, wait: bool = False
-    ) -> Array | None:
-        """Take the initial states' step when θ moves by `moved`; return the cost per window (W,) where it is known.
+    ) -> Array:
+        """Take the initial states' step when θ moves by `moved`; return the cost per window (W,) there.
 
-        Where own states make the way rough, or to `wait` for the states alone, a window that rises waits where it was;
-        on a rough way it takes whichever other damping leads it lowest.
+        Where own states make the way rough, or where asked to `wait`, a window whose cost does not fall stays where it
+        was if that costs less at the new θ; on a rough way one that stays tries other dampings, too.
         """
         kept, ways = self.initial, WAYS if self.remembers else ()
         first, *others = (kept + self.spread(line, moved, each) for each in (damping, *ways))
         self.initial = first
-        if not (self.remembers or wait):
-            return None
-        cost = np.nan_to_num(self.cost(theta), nan=np.inf)
-        self._instead(theta, cost, ~(cost < line.cost), kept)
-        self._instead(theta, cost, (self.initial == kept).all(axis=0), *others)
+        cost = self.cost(theta)
+        if self.remembers or wait:
+            self._take_lower(theta, cost, ~(cost < line.cost) | ~np.isfinite(line.cost), kept)
+            self._take_lower(theta, cost, (self.initial == kept).all(axis=0), *others)
         return cost
 
-    def _instead(self, theta: Mapping[str, float], cost: Array, doubtful: NDArray[np.bool_], *initials: Array) -> None:
-        """Start `doubtful` windows from other initial states (S, W) where these cost less, and lower that (W,)."""
-        chosen = np.flatnonzero(doubtful)
+    def _take_lower(self, theta: Mapping[str, float], cost: Array, among: NDArray[np.bool_], *initials: Array) -> None:
+        """Start windows, `among` all, from those of other initial states (S, W) that cost less; update `cost` (W,)."""
+        chosen = np.flatnonzero(among)
         if not len(chosen):
             return
         part = self.some(chosen)
@@ -174,20 +173,17 @@ class StageFit:
         for initial in initials:
             self.initial = initial
             costs.append(self.cost(theta))
-        known = np.nan_to_num(costs, nan=np.inf)
-        self.initial = np.choose(np.argmin(known, axis=0), initials)
-        return known.min(axis=0)
+        self.initial = np.choose(np.argmin(costs, axis=0), initials)
+        return np.min(costs, axis=0)
 
     def settled(self) -> Array:
         """Return the cost per window once every initial state has taken its own steps, as long as they help."""
-        line = self.linearise({})
         for _ in range(SETTLING):
-            before = line.cost
-            self.move({}, line, np.zeros(0), 0.0, wait=True)
             line = self.linearise({})
-            if not (line.cost < (1.0 - ENOUGH) * before).any():
+            cost = self.move({}, line, np.zeros(0), 0.0, wait=True)
+            if not (cost < (1.0 - ENOUGH) * line.cost).any():
                 break
-        return line.cost
+        return cost
 
     def strength(self, theta: Mapping[str, float], line: Linear) -> float:
         """Return λ = max(1, F_data/N_independent) of the windows as they are."""
@@ -201,21 +197,18 @@ class StageFit:
         windows, parameters = self._now(theta), self.problem.parameters(theta)
         return self.problem.rollout.predict(parameters, windows) - windows.measured
 
-    def losses(self, theta: Mapping[str, float], cost: Array | None = None) -> float:
-        """Return the summed loss of the windows, of their `cost` if that is known, n as where the fit began.
-
-        Infinite where one blew up.
-        """
+    def losses(self, cost: Array) -> float:
+        """Return the summed loss of windows that cost this (W,), n as where the fit began; infinite if one blew up."""
         with np.errstate(all="ignore"):
-            total = float(pseudo_huber(self.cost(theta) if cost is None else cost, self.usual).sum())
-        return total if np.isfinite(total) else np.inf
+            return float(pseudo_huber(cost, self.usual).sum())
 
     def cost(self, theta: Mapping[str, float]) -> Array:
-        """Return the cost per window (W,), as the initial states are."""
+        """Return the cost per window (W,), as the initial states are; infinite where it blows up."""
         windows, parameters = self._now(theta), self.problem.parameters(theta)
         with np.errstate(all="ignore"):
             squares = self.problem.rollout.squares(parameters, windows).sum(axis=1)
-            return np.asarray(squares + (self._away() ** 2 * self.precision).sum(axis=1))
+            cost = np.asarray(squares + (self._away() ** 2 * self.precision).sum(axis=1))
+        return np.where(np.isnan(cost), np.inf, cost)
 
     def _now(self, theta: Mapping[str, float]) -> Windows:
         """Return the windows with inputs at θ's shifts, from the initial states as they are."""

@@ -24,7 +24,7 @@ from racerl.gap.follow import follow, lagged
 from racerl.gap.kernels import StageKernels
 from racerl.gap.naming import name_effects
 from racerl.gap.presence import with_all
-from racerl.gap.problem import Problem
+from racerl.gap.problem import Landscape, Place, Problem
 from racerl.gap.score import summed
 from racerl.gap.screening import Screened, beyond, scores, screen
 from racerl.gap.shapes import SHAPES
@@ -436,6 +436,36 @@ def test_a_window_that_its_step_does_not_help_takes_another_or_stays(clean, monk
     assert (kept != right).any(axis=0).mean() > 0.6
     np.testing.assert_allclose(work.initial, right, atol=1e-12)
     np.testing.assert_allclose(cost, work.cost({}), rtol=1e-12)
+
+
+def test_a_window_whose_cost_falls_goes_on_unasked_and_others_where_they_fit_better(clean, monkeypatch):
+    (stage,) = inertia_problem(clean).stages
+    work = StageFit(stage.at({}), {}, None)
+    work.remembers = True
+    kept, line = work.initial.copy(), work.linearise({})
+    lateral = np.arange(len(kept))[:, None] == 4
+    monkeypatch.setattr(work, "spread", lambda line, moved, damping: np.where(lateral, 1.0, 0.0))
+    before = line.cost.copy()
+    before[::3], before[1::3] = 1e12, np.inf  # these fall whatever they do; of those nobody knows
+    work.move({}, dataclasses.replace(line, cost=before), np.zeros(1), 0.5)
+    gone = (work.initial != kept).any(axis=0)
+    assert gone[::3].all() and not gone[1::3].any() and not gone[2::3].any()
+
+
+@pytest.mark.parametrize("rough", [True, False])
+def test_a_place_costs_what_its_windows_cost_there_and_earlier_ones_stay_as_they_are(rough, clean):
+    problem = inertia_problem(clean)
+    (stage,) = problem.stages
+    work = StageFit(stage, {"yaw_inertia": 0.1}, None)
+    work.remembers = rough
+    landscape = Landscape(problem, [work])
+    place = Place(np.array([0.1]), [work.initial], [])
+    began, at = work.initial.copy(), landscape.linearise(place)
+    for damping in (1e-3, 10.0):
+        trial = landscape.step(place, at, damping)
+        there = work.losses(work.cost(landscape.put(trial))) + problem.prior(trial.theta)
+        assert landscape.cost(trial) == pytest.approx(there, rel=1e-12) and there < at.cost
+        np.testing.assert_array_equal(place.initial[0], began)
 
 
 def test_an_absent_effect_changes_nothing_and_a_present_one_all(clean):

@@ -158,7 +158,7 @@ def test_an_effect_is_found_on_a_double_track(monkeypatch):
     assert ("yaw_damping", [DOUBLE_TRACK]) in looked and ("yaw_damping", []) not in looked
 
 
-def test_what_was_found_before_is_screened_whatever_first_order_gains_say(monkeypatch):
+def test_what_was_fitted_before_is_screened_whatever_first_order_gains_say(monkeypatch):
     asked = []
     monkeypatch.setattr(naming, "shortlist", lambda ahead, astray: ["yaw_damping"])
     monkeypatch.setattr(naming, "lost", lambda investigation, found: set())
