@@ -21,6 +21,8 @@ from racerl.gap.progress import OnProgress, silent
 from racerl.gap.uncertainty import intervals
 from racerl.vehicle import catalogue
 
+Rows = Mapping[str, Sequence[CandidateScore]]  # every effect, and its rivals
+
 
 def eliminated(judge: Judge, decision: Decision, on_progress: OnProgress = silent) -> Decision:
     """Judge every effect again beside the others; the last one found is judged so already, unless others change."""
@@ -80,7 +82,8 @@ def settled(judge: Judge, decision: Decision) -> Decision:
         ]
         if not idle:
             kept = {name: _somewhere(judge, decision, rows) for name, rows in decision.kept.items()}
-            return replace(decision, found=found, kept=kept, features=_as_kept(decision.features, kept))
+            seen = [_nameable(each, decision.kept, kept) for each in _as_kept(decision.features, kept)]
+            return replace(decision, found=found, kept=kept, features=seen)
         decision = _without(judge, decision, idle[0], without(investigation, found, idle[0]))
 
 
@@ -126,6 +129,17 @@ def _as_kept(seen: Sequence[Mapping[str, Any]], kept: Collection[str]) -> list[d
             added.add(own[0]["name"])
             begun = {}
     return found
+
+
+def _nameable(each: Mapping[str, Any], rivals: Rows, kept: Rows) -> dict[str, Any]:
+    """Return what a round saw, without the rivals of its effect that are not `kept`, and with resamples as there."""
+    name = _first(each)
+    leads = {row.name: row.leads for row in kept.get(name, [])}
+    gone = {row.name for row in rivals.get(name, [])} - set(leads)
+    if not gone:
+        return dict(each)
+    rows = [row for row in each["candidates"] if row["name"] not in gone]
+    return {**each, "candidates": [{**row, "leads": leads.get(row["name"], row["leads"])} for row in rows]}
 
 
 def _first(each: Mapping[str, Any]) -> str:

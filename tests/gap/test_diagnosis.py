@@ -971,16 +971,19 @@ def test_a_rival_takes_the_place_of_an_effect_that_is_nowhere(monkeypatch, neede
     kept = {"road_bank": [row("road_bank"), row("road_slope", needed, "road_bank")]}
     rounds = [[row("road_bank"), row("road_slope", needed)]]
     found = fit("road_bank")
-    rows = [{"name": name} for name in ("road_bank", "aero_drag", "road_slope")]
+    rows = [{"name": name, "leads": 0.5} for name in ("road_bank", "aero_drag", "road_slope")]
     seen = [{"candidates": rows}, {"candidates": rows[1:]}]
     begun = Decision(found, found.cost, {"chassis": 0.0}, None, kept, None, rounds=rounds, features=seen)
     decision = settled(judge, begun)
     if not needed:  # nor does it stand beside one that stays
         three = [row("aero_drag", leads=0.6), row("road_bank", leads=0.25), row("road_slope", leads=0.15)]
         beside = dataclasses.replace(begun, kept={"aero_drag": three}, rounds=[three])
-        left = settled(judge, beside).kept["aero_drag"]
+        ended = settled(judge, beside)
+        left = ended.kept["aero_drag"]
         assert [each.name for each in left] == ["aero_drag", "road_slope"]
         assert [each.leads for each in left] == pytest.approx([0.8, 0.2])  # of resamples that the bowl did not lead
+        assert [row["name"] for row in ended.features[0]["candidates"]] == ["aero_drag", "road_slope"]
+        assert [row["leads"] for row in ended.features[0]["candidates"]] == pytest.approx([0.8, 0.2])
         judge.one = lambda row, other: "bank" in other.name  # then the effect has those resamples as well
         assert [each.leads for each in settled(judge, beside).kept["aero_drag"]] == [0.6, 0.15]
     assert decision.chosen == chosen and decision.found.names == set(chosen)
