@@ -149,7 +149,7 @@ class StageFit:
         return cost
 
     def _take_lower(self, theta: Mapping[str, float], cost: Array, among: NDArray[np.bool_], *initials: Array) -> None:
-        """Start windows, `among` all, from those of other initial states (S, W) that cost less; update `cost` (W,)."""
+        """Start each of the windows `among` from other initial states (S, W) if they cost less; update `cost` (W,)."""
         chosen = np.flatnonzero(among)
         if not len(chosen):
             return
