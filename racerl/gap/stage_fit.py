@@ -169,12 +169,11 @@ class StageFit:
 
     def begin(self, theta: Mapping[str, float], *initials: Array) -> Array:
         """Start every window from the initial state that fits it best; return the cost per window (W,)."""
-        costs = []
-        for initial in initials:
-            self.initial = initial
-            costs.append(self.cost(theta))
-        self.initial = np.choose(np.argmin(costs, axis=0), initials)
-        return np.min(costs, axis=0)
+        first, *others = initials
+        self.initial = first.copy()
+        cost = self.cost(theta)
+        self._take_lower(theta, cost, np.ones(len(cost), bool), *others)
+        return cost
 
     def settled(self) -> Array:
         """Return the cost per window once every initial state has taken its own steps, as long as they help."""
