@@ -151,7 +151,7 @@ class StageFit:
     def _take_lower(self, theta: Mapping[str, float], cost: Array, among: NDArray[np.bool_], *initials: Array) -> None:
         """Start each of the windows `among` from other initial states (S, W) if they cost less; update `cost` (W,)."""
         chosen = np.flatnonzero(among)
-        if not len(chosen):
+        if not len(chosen) or not initials:
             return
         part = self.some(chosen)
         for initial in initials:
